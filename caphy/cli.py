@@ -1,0 +1,57 @@
+"""The ``caphy`` command: one subcommand per module of ``caphy.commands``, imported only when asked for."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+from caphy.errors import CaphyError
+
+COMMANDS = {
+    "body": "make, inspect and picture SMPL-X-format bodies",
+    "poses": "inspect, convert and picture pose files",
+    "garment": "make garment templates and check your own meshes",
+    "effects": "list and show the physical effects",
+    "simulate": "drape or move a garment with the reference solver",
+    "train": "train a garment network with physics losses",
+    "export": "write an avatar bundle: one ONNX graph per garment",
+    "serve": "serve avatars over HTTP",
+    "demo": "serve the default avatar, send it a motion, write a GLB and a contact sheet",
+}
+
+
+def usage() -> str:
+    """The top-level help text."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name.ljust(width)}  {summary}" for name, summary in COMMANDS.items()]
+    return "\n".join(["usage: caphy COMMAND [OPTIONS]   (caphy COMMAND --help for more)", "", *lines])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one subcommand; returns the exit status (2 for input the user can put right)."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(usage())
+        return 0
+    name, rest = arguments[0], arguments[1:]
+    if name not in COMMANDS:
+        print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
+        return 2
+    try:
+        module = importlib.import_module(f"caphy.commands.{name}")
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] in ("caphy", "service", "export"):
+            raise
+        print(f"caphy {name}: needs {error.name!r}; install it with: pip install 'caphy[train]'", file=sys.stderr)
+        return 2
+    try:
+        return module.main(rest) or 0
+    except CaphyError as error:
+        print(f"caphy {name}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

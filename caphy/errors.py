@@ -1,0 +1,9 @@
+"""The one exception a user is meant to read."""
+
+
+class CaphyError(Exception):
+    """Input or state that the user can put right.
+
+    The message says what must hold, what was got, where (file, frame, joint), and what to do. The command line
+    prints it without a traceback and exits with status 2; the service answers it as a 4xx.
+    """
