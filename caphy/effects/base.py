@@ -1,0 +1,220 @@
+"""The contract of a physical effect: one small file, one incremental potential.
+
+An effect says which elements it acts on (``element``), what its parameters are, and the energy of one element.
+Everything else - gradient, Hessian, network loss, solver, refit, diagnosis, report, tests - follows from that:
+
+    class Gravity(Effect):
+        "Weight of the cloth."
+        name = "gravity"
+        element = "vertex"
+        parameters = {"acceleration": Parameter((0.0, -9.81, 0.0), "m/s^2", doc="acceleration of free fall")}
+        reference = "Newton 1687"
+
+        def energy(self, e, p):
+            (x,) = e.x
+            return -e.rest["mass"] * dot(p["acceleration"], x)
+
+Energies are written with the component axis first (see :mod:`caphy.effects.vectors`) and broadcast over any
+number of frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.cloth import Cloth
+
+ElementKind = Literal["vertex", "edge", "face", "hinge"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
+
+    Attributes:
+        default: value, a float or nested tuples of floats (vectors, tables).
+        unit: SI unit.
+        lower, upper: bounds that every entry keeps.
+        linear: the energy is linear in it, so that refits are (bounded) least squares.
+        doc: one line for people.
+    """
+
+    default: float | tuple
+    unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    linear: bool = True
+    doc: str = ""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One incremental step of the dynamics, the same for every integrator.
+
+    Implicit Euler has origin x(t-1), target 2 x(t-1) - x(t-2) and the frame's dt. A stage of a diagonally implicit
+    Runge-Kutta method has its own origin, target and effective step, and the very same potential.
+
+    Attributes:
+        dt: effective step [s].
+        origin: positions from which the velocity is measured, (..., V, 3) [m]: v = (x - origin) / dt.
+        target: where the vertices would be without any force, (..., V, 3) [m].
+        lagged: positions of the last converged state, (..., V, 3) [m]; lagged coefficients are evaluated there.
+        lagged_velocity: velocities of the last converged state, (..., V, 3) [m/s].
+    """
+
+    dt: float
+    origin: Tensor
+    target: Tensor
+    lagged: Tensor
+    lagged_velocity: Tensor
+
+    @classmethod
+    def implicit_euler(cls, dt: float, previous: Tensor, before: Tensor) -> Step:
+        """The step of implicit Euler after positions ``before`` = x(t-2) and ``previous`` = x(t-1), (..., V, 3)."""
+        return cls(dt, previous, 2 * previous - before, previous, (previous - before) / dt)
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """The body as the vertices of a garment see it in each frame.
+
+    Attributes:
+        point: nearest point of the body surface, (..., V, 3) [m].
+        normal: gradient of the signed distance, (..., V, 3), unit length, outward.
+        velocity: velocity of the body at that point, (..., V, 3) [m/s].
+        anchor: where the skinned template has each vertex, (..., V, 3) [m]; what attached vertices are held to.
+    """
+
+    point: Tensor
+    normal: Tensor
+    velocity: Tensor
+    anchor: Tensor
+
+
+@dataclass(frozen=True)
+class Elements:
+    """All elements of one kind, in the layout energies are written in: component first, elements last.
+
+    Attributes:
+        x: positions of the k vertices of each element, (k, 3, ..., n) [m].
+        rest: constants of each element, name -> (n,) or (..., n).
+        dt: effective step [s]; None in statics.
+        origin, target, lagged, lagged_velocity: as in :class:`Step`, each (k, 3, ..., n); None in statics.
+        body: as in :class:`BodyState`, name -> (3, ..., n); only for effects that read the body.
+    """
+
+    x: Tensor
+    rest: Mapping[str, Tensor]
+    dt: float | None = None
+    origin: Tensor | None = None
+    target: Tensor | None = None
+    lagged: Tensor | None = None
+    lagged_velocity: Tensor | None = None
+    body: Mapping[str, Tensor] | None = None
+
+    @property
+    def velocity(self) -> Tensor:
+        """Velocities (k, 3, ..., n) [m/s] of the step under way."""
+        if self.origin is None or self.dt is None:
+            raise RuntimeError("statics has no velocity; set needs_step on the effect")
+        return (self.x - self.origin) / self.dt
+
+
+Values = Mapping[str, Tensor]
+"""Parameter values of one effect, name -> tensor of the parameter's shape."""
+
+
+class Effect:
+    """Base of all effects. Subclasses live one per file in ``caphy/effects/``.
+
+    Class attributes:
+        name: the registered name, equal to the file's.
+        element: what one element is.
+        parameters: name -> :class:`Parameter`.
+        reference: paper and equation.
+        internal: exerts no net force and no net torque.
+        needs_step: acts only in motion (inertia, damping, friction); skipped in statics.
+        needs_body: reads :class:`BodyState`; skipped where there is no body.
+    """
+
+    name: ClassVar[str]
+    element: ClassVar[ElementKind]
+    parameters: ClassVar[Mapping[str, Parameter]] = {}
+    reference: ClassVar[str]
+    internal: ClassVar[bool] = False
+    needs_step: ClassVar[bool] = False
+    needs_body: ClassVar[bool] = False
+
+    def index(self, cloth: Cloth) -> np.ndarray:
+        """Vertex indices of each element, (n, k). Override to act on some elements only (a waistband, a hem)."""
+        match self.element:
+            case "vertex":
+                return np.arange(len(cloth.vertices))[:, None]
+            case "edge":
+                return cloth.edges
+            case "face":
+                return cloth.faces
+            case "hinge":
+                return cloth.hinges
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        """Constants of each element, name -> (n,) or (..., n), read back as ``e.rest[name]``."""
+        return {}
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        """Energy of each element [J], (..., n)."""
+        raise NotImplementedError(f"{type(self).__name__} must define energy(e, p)")
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        """Energy (..., n) [J] and its gradient (k, 3, ..., n) [N] with the history held fixed.
+
+        Automatic differentiation of :meth:`energy`; override with a closed form where speed pays.
+        """
+        x = e.x.detach().requires_grad_(True)
+        with torch.enable_grad():
+            energy = self.energy(_moved(e, x), p)
+            (gradient,) = torch.autograd.grad(energy.sum(), x, allow_unused=True)
+        return energy.detach(), torch.zeros_like(x) if gradient is None else gradient
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        """Second derivative of each element's energy [N/m], (k, 3, k, 3, ..., n).
+
+        Automatic differentiation of :meth:`energy`; override with a closed form where speed pays.
+        """
+        x = e.x.detach().requires_grad_(True)
+        with torch.enable_grad():
+            energy = self.energy(_moved(e, x), p)
+            (gradient,) = torch.autograd.grad(energy.sum(), x, create_graph=True, allow_unused=True)
+            rows = []
+            for vertex in range(x.shape[0]):
+                for axis in range(3):
+                    row = None
+                    if gradient is not None and gradient.requires_grad:
+                        (row,) = torch.autograd.grad(
+                            gradient[vertex, axis].sum(), x, retain_graph=True, allow_unused=True
+                        )
+                    rows.append(torch.zeros_like(x) if row is None else row)
+        return torch.stack(rows).reshape(x.shape[:2] + x.shape).detach()
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        """:meth:`hessian` with the negative eigenvalues of each element clamped to zero."""
+        return clamp_eigenvalues(self.hessian(e, p))
+
+
+def _moved(e: Elements, x: Tensor) -> Elements:
+    return Elements(x, e.rest, e.dt, e.origin, e.target, e.lagged, e.lagged_velocity, e.body)
+
+
+def clamp_eigenvalues(hessian: Tensor) -> Tensor:
+    """Nearest positive semi-definite matrices of element Hessians (k, 3, k, 3, ..., n)."""
+    size = hessian.shape[0] * 3
+    flat = hessian.reshape(size, size, -1).permute(2, 0, 1)
+    values, vectors = torch.linalg.eigh(0.5 * (flat + flat.mT))
+    flat = (vectors * values.clamp_min(0)[:, None, :]) @ vectors.mT
+    return flat.permute(1, 2, 0).reshape(hessian.shape)

@@ -1,0 +1,87 @@
+"""A physics model: an area density and a list of effects with parameter values."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from caphy.effects.registry import find_effect
+from caphy.errors import CaphyError
+
+ParameterValues = Mapping[str, np.ndarray]
+
+
+def checked_values(effect_name: str, given: Mapping[str, object]) -> dict[str, np.ndarray]:
+    """Parameter values of an effect, defaults filled in, shapes and bounds checked."""
+    declared = find_effect(effect_name).parameters
+    unknown = sorted(set(given) - set(declared))
+    if unknown:
+        raise CaphyError(
+            f"{effect_name} has no parameter {unknown[0]!r}; it has: {', '.join(declared) or 'none'}"
+        )
+    values = {}
+    for name, parameter in declared.items():
+        value = np.asarray(given.get(name, parameter.default), dtype=float)
+        shape = np.shape(parameter.default)
+        if value.shape != shape:
+            raise CaphyError(f"{effect_name}.{name} must have shape {shape}, got {value.shape}")
+        if not np.isfinite(value).all() or (value < parameter.lower).any() or (value > parameter.upper).any():
+            raise CaphyError(
+                f"{effect_name}.{name} must lie in [{parameter.lower:g}, {parameter.upper:g}] {parameter.unit}, "
+                f"got {value.tolist()}"
+            )
+        values[name] = value
+    return values
+
+
+@dataclass(frozen=True)
+class Model:
+    """An area density [kg/m^2] and the effects that act, name -> parameter values."""
+
+    density: float
+    effects: Mapping[str, ParameterValues] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.density) and self.density > 0):
+            raise CaphyError(f"the area density must be positive [kg/m^2], got {self.density}")
+        checked = {name: checked_values(name, values) for name, values in self.effects.items()}
+        object.__setattr__(self, "effects", checked)
+
+    def with_effect(self, name: str, **values: object) -> Model:
+        """This model with an effect added or its parameters replaced."""
+        return replace(self, effects={**self.effects, name: {**self.effects.get(name, {}), **values}})
+
+    def without_effect(self, name: str) -> Model:
+        """This model without an effect."""
+        return replace(self, effects={key: value for key, value in self.effects.items() if key != name})
+
+    def to_json(self) -> str:
+        """Readable, diffable text form."""
+        effects = {
+            name: {key: np.asarray(value).tolist() for key, value in values.items()}
+            for name, values in self.effects.items()
+        }
+        return json.dumps({"schema": 1, "density_kg_per_m2": self.density, "effects": effects}, indent=2)
+
+    @classmethod
+    def from_json(cls, text: str, source: str = "model") -> Model:
+        """Inverse of :meth:`to_json`; ``source`` names the file in errors."""
+        try:
+            data = json.loads(text)
+            return cls(float(data["density_kg_per_m2"]), data["effects"])
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise CaphyError(f"{source}: not a physics model: {error!r}; see 'caphy effects show'") from error
+        except CaphyError as error:
+            raise CaphyError(f"{source}: {error}") from error
+
+    @classmethod
+    def load(cls, path: Path) -> Model:
+        """Read a model's JSON file."""
+        try:
+            return cls.from_json(path.read_text(), str(path))
+        except OSError as error:
+            raise CaphyError(f"{path}: cannot be read: {error.strerror}") from error

@@ -1,0 +1,157 @@
+"""The potential of a model on a piece of cloth: the plain sum of its effects, with gradient and Hessian."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from caphy.effects.base import BodyState, Effect, Elements, Step, Values
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.registry import find_effect
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect bound to a cloth: its elements, their constants and its parameter values."""
+
+    effect: Effect
+    index: Tensor
+    """Vertex indices of the elements, (n, k)."""
+    incidence: Tensor
+    """For each vertex its (corner * n + element) slots, padded with k * n, (V, m): scatters as a gather."""
+    rest: dict[str, Tensor]
+    values: Values
+
+    def gather(self, planes: Tensor) -> Tensor:
+        """Element positions (k, 3, ..., n) of vertex planes (3, ..., V)."""
+        n, k = self.index.shape
+        picked = planes.index_select(-1, self.index.T.reshape(-1))
+        return picked.unflatten(-1, (k, n)).movedim(-2, 0)
+
+    def scatter(self, forces: Tensor) -> Tensor:
+        """Vertex sums (3, ..., V) of element quantities (k, 3, ..., n)."""
+        flat = forces.movedim(0, -2).flatten(-2)
+        padded = torch.nn.functional.pad(flat, (0, 1))
+        slots = padded.index_select(-1, self.incidence.reshape(-1))
+        return slots.unflatten(-1, tuple(self.incidence.shape)).sum(-1)
+
+
+def _incidence(index: Tensor, vertex_count: int) -> Tensor:
+    n, k = index.shape
+    flat = index.T.reshape(-1)
+    order = torch.argsort(flat, stable=True)
+    counts = torch.bincount(flat, minlength=vertex_count)
+    first = torch.cumsum(counts, 0) - counts
+    place = torch.arange(len(flat)) - first[flat[order]]
+    slots = torch.full((vertex_count, max(int(counts.max()), 1)), k * n)
+    slots[flat[order], place] = order
+    return slots
+
+
+def planes(field: Tensor) -> Tensor:
+    """Component-first contiguous planes (3, ..., V) of a vertex field (..., V, 3)."""
+    return field.movedim(-1, 0).contiguous()
+
+
+class Potential:
+    """The incremental potential Phi of a model on a cloth.
+
+    Positions are (..., V, 3) [m] with any leading axes (frames); energies come back as (...,) [J]. In statics
+    (``step`` is None) effects that need motion are left out; without a body those that need one are.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        cloth: Cloth,
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.model, self.cloth, self.dtype, self.device = model, cloth, dtype, torch.device(device)
+        self.terms = {name: self._bind(name) for name in model.effects}
+
+    def _bind(self, name: str) -> Term:
+        effect = find_effect(name)
+
+        def tensor(value: object) -> Tensor:
+            return torch.as_tensor(value, dtype=self.dtype, device=self.device)
+
+        index = torch.as_tensor(effect.index(self.cloth), dtype=torch.int64)
+        values = {key: tensor(value) for key, value in self.model.effects[name].items()}
+        rest = {key: tensor(value) for key, value in effect.rest(self.cloth).items()}
+        incidence = _incidence(index, len(self.cloth.vertices))
+        return Term(effect, index.to(self.device), incidence.to(self.device), rest, values)
+
+    def elements(self, term: Term, x: Tensor, step: Step | None, body: BodyState | None) -> Elements:
+        """The elements of a term at positions (..., V, 3)."""
+
+        def gathered(field: Tensor) -> Tensor:
+            return term.gather(planes(field))
+
+        moving = {}
+        if step is not None and term.effect.needs_step:
+            moving = {
+                "dt": step.dt,
+                "origin": gathered(step.origin),
+                "target": gathered(step.target),
+                "lagged": gathered(step.lagged),
+                "lagged_velocity": gathered(step.lagged_velocity),
+            }
+        seen = None
+        if body is not None and term.effect.needs_body:
+            seen = {key: gathered(value)[0] for key, value in vars(body).items()}
+        return Elements(gathered(x), term.rest, body=seen, **moving)
+
+    def acting(
+        self, x: Tensor, step: Step | None, body: BodyState | None
+    ) -> Iterator[tuple[str, Term, Elements]]:
+        """The terms that act in this situation with their elements."""
+        for name, term in self.terms.items():
+            if (step is None and term.effect.needs_step) or (body is None and term.effect.needs_body):
+                continue
+            yield name, term, self.elements(term, x, step, body)
+
+    def energies(
+        self, x: Tensor, step: Step | None = None, body: BodyState | None = None
+    ) -> dict[str, Tensor]:
+        """Energy of each effect [J], name -> (...,)."""
+        return {
+            name: term.effect.energy(elements, term.values).sum(-1)
+            for name, term, elements in self.acting(x, step, body)
+        }
+
+    def gradient(
+        self, x: Tensor, step: Step | None = None, body: BodyState | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Total energy (...,) [J] and its gradient (..., V, 3) [N], history and body held fixed."""
+        energy = x.new_zeros(x.shape[:-2])
+        gradient = torch.zeros_like(planes(x))
+        for _, term, elements in self.acting(x, step, body):
+            values, forces = term.effect.gradient(elements, term.values)
+            energy = energy + values.sum(-1)
+            gradient += term.scatter(forces)
+        return energy, gradient.movedim(0, -1)
+
+    def loss(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> Tensor:
+        """Total energy (...,) [J], differentiable in ``x`` (only), through the effects' own gradients.
+
+        The history is detached by construction: implicit Euler minimises over the new positions alone.
+        """
+        return _Loss.apply(x, self, step, body)  # pyright: ignore[reportReturnType]
+
+
+class _Loss(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, x: Tensor, potential: Potential, step: Step | None, body: BodyState | None) -> Tensor:
+        energy, gradient = potential.gradient(x.detach(), step, body)
+        ctx.save_for_backward(gradient)
+        return energy
+
+    @staticmethod
+    def backward(ctx, *upstream: Tensor):
+        (gradient,) = ctx.saved_tensors
+        return upstream[0][..., None, None] * gradient, None, None, None

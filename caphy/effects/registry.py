@@ -1,0 +1,73 @@
+"""Finding effects: every file of this package, installed plug-ins (entry point ``caphy.effects``) and a user's file."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+import caphy.effects
+from caphy.effects.base import Effect
+from caphy.errors import CaphyError
+
+_from_files: dict[str, type[Effect]] = {}
+
+
+def _defined_in(module: ModuleType) -> list[type[Effect]]:
+    """The effects that a module itself defines."""
+    return [
+        member
+        for member in vars(module).values()
+        if inspect.isclass(member)
+        and issubclass(member, Effect)
+        and member.__module__ == module.__name__
+        and "name" in vars(member)
+    ]
+
+
+@cache
+def _installed() -> dict[str, type[Effect]]:
+    found = [
+        effect
+        for info in pkgutil.iter_modules(caphy.effects.__path__)
+        for effect in _defined_in(importlib.import_module(f"caphy.effects.{info.name}"))
+    ]
+    found += [entry.load() for entry in entry_points(group="caphy.effects")]
+    return {effect.name: effect for effect in found}
+
+
+def registered_effects() -> dict[str, type[Effect]]:
+    """All known effects by name, sorted."""
+    return dict(sorted((_installed() | _from_files).items()))
+
+
+def find_effect(name: str) -> Effect:
+    """The effect of a name; raises :class:`CaphyError` with the known names."""
+    effects = registered_effects()
+    if name not in effects:
+        raise CaphyError(
+            f"there is no effect {name!r}; known: {', '.join(effects)}; add yours with --effect-file"
+        )
+    return effects[name]()
+
+
+def register_file(path: Path) -> list[str]:
+    """Register the effects that a user's Python file defines; returns their names."""
+    spec = importlib.util.spec_from_file_location(f"caphy_effect_{path.stem}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise CaphyError(f"{path}: an effect file must be an existing .py file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise CaphyError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
+    effects = _defined_in(module)
+    if not effects:
+        raise CaphyError(f"{path}: defines no subclass of caphy.effects.base.Effect with a name")
+    _from_files.update({effect.name: effect for effect in effects})
+    return [effect.name for effect in effects]

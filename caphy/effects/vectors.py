@@ -1,0 +1,24 @@
+"""Vector algebra with the component axis first: a vector field over elements is (3, ..., n).
+
+Planes of one component lie contiguously in memory, which is what makes element-wise torch code fast on a CPU.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Inner product (..., n) of vector fields (3, ..., n)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Vector product (3, ..., n) of vector fields (3, ..., n)."""
+    return torch.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def norm(a: Tensor, floor: float = 1e-12) -> Tensor:
+    """Length (..., n) of a vector field (3, ..., n); its gradient stays finite at zero length."""
+    return torch.sqrt(dot(a, a).clamp_min(floor * floor))
