@@ -42,7 +42,10 @@ def main(arguments: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] in ("caphy", "service", "export"):
             raise
-        print(f"caphy {name}: needs {error.name!r}; install it with: pip install 'caphy[train]'", file=sys.stderr)
+        print(
+            f"caphy {name}: needs {error.name!r}; install it with: pip install 'caphy[train]'",
+            file=sys.stderr,
+        )
         return 2
     try:
         return module.main(rest) or 0

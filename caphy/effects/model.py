@@ -20,9 +20,7 @@ def checked_values(effect_name: str, given: Mapping[str, object]) -> dict[str, n
     declared = find_effect(effect_name).parameters
     unknown = sorted(set(given) - set(declared))
     if unknown:
-        raise CaphyError(
-            f"{effect_name} has no parameter {unknown[0]!r}; it has: {', '.join(declared) or 'none'}"
-        )
+        raise CaphyError(f"{effect_name} has no parameter {unknown[0]!r}; it has: {', '.join(declared) or 'none'}")
     values = {}
     for name, parameter in declared.items():
         value = np.asarray(given.get(name, parameter.default), dtype=float)

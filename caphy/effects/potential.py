@@ -106,27 +106,21 @@ class Potential:
             seen = {key: gathered(value)[0] for key, value in vars(body).items()}
         return Elements(gathered(x), term.rest, body=seen, **moving)
 
-    def acting(
-        self, x: Tensor, step: Step | None, body: BodyState | None
-    ) -> Iterator[tuple[str, Term, Elements]]:
+    def acting(self, x: Tensor, step: Step | None, body: BodyState | None) -> Iterator[tuple[str, Term, Elements]]:
         """The terms that act in this situation with their elements."""
         for name, term in self.terms.items():
             if (step is None and term.effect.needs_step) or (body is None and term.effect.needs_body):
                 continue
             yield name, term, self.elements(term, x, step, body)
 
-    def energies(
-        self, x: Tensor, step: Step | None = None, body: BodyState | None = None
-    ) -> dict[str, Tensor]:
+    def energies(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> dict[str, Tensor]:
         """Energy of each effect [J], name -> (...,)."""
         return {
             name: term.effect.energy(elements, term.values).sum(-1)
             for name, term, elements in self.acting(x, step, body)
         }
 
-    def gradient(
-        self, x: Tensor, step: Step | None = None, body: BodyState | None = None
-    ) -> tuple[Tensor, Tensor]:
+    def gradient(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> tuple[Tensor, Tensor]:
         """Total energy (...,) [J] and its gradient (..., V, 3) [N], history and body held fixed."""
         energy = x.new_zeros(x.shape[:-2])
         gradient = torch.zeros_like(planes(x))

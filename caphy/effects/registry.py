@@ -50,9 +50,7 @@ def find_effect(name: str) -> Effect:
     """The effect of a name; raises :class:`CaphyError` with the known names."""
     effects = registered_effects()
     if name not in effects:
-        raise CaphyError(
-            f"there is no effect {name!r}; known: {', '.join(effects)}; add yours with --effect-file"
-        )
+        raise CaphyError(f"there is no effect {name!r}; known: {', '.join(effects)}; add yours with --effect-file")
     return effects[name]()
 
 
