@@ -1,0 +1,1 @@
+"""Speed, as figures measured side by side in one run: ``make bench``."""
