@@ -1,0 +1,77 @@
+"""Arrays out of NumPy archives, never unpickling."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from caphy.errors import CaphyError
+
+
+class Archive:
+    """The arrays of an ``.npz`` file by name, with errors a user can act on."""
+
+    def __init__(self, path: Path):
+        self.path = Path(path)
+        try:
+            with np.load(self.path, allow_pickle=False) as file:
+                self._names = set(file.files)
+                self._arrays = {name: _read(file, name) for name in file.files}
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+            raise CaphyError(f"{path}: not a readable .npz archive, perhaps cut short: {error}") from error
+        except AttributeError as error:  # a bare .npy array has no names
+            raise CaphyError(f"{path}: must be an .npz archive of named arrays") from error
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._names
+
+    @property
+    def names(self) -> list[str]:
+        """The arrays' names in alphabetical order."""
+        return sorted(self._names)
+
+    def require(self, *names: str) -> None:
+        """Raise :class:`CaphyError` unless every one of ``names`` is in the archive."""
+        missing = [name for name in names if name not in self]
+        if missing:
+            raise CaphyError(f"{self.path}: must hold {', '.join(missing)}; it has {', '.join(self.names)}")
+
+    def floats(self, name: str) -> np.ndarray:
+        """The array ``name`` as float64; raises :class:`CaphyError` if it is absent or not numeric."""
+        self.require(name)
+        values = self._arrays[name]
+        if values is None or values.dtype.kind not in "fiu":
+            raise CaphyError(
+                f"{self.path}: {name} must be numbers, got {'Python objects' if values is None else values.dtype}"
+            )
+        return values.astype(np.float64)
+
+    def columns(self, name: str, width: int, frames: int) -> np.ndarray:
+        """The array ``name`` as (frames, width) float64; zeros where it is absent."""
+        if name not in self:
+            return np.zeros((frames, width))
+        values = self.floats(name)
+        if values.size != frames * width:
+            raise CaphyError(f"{self.path}: {name} must hold {frames} x {width} values, got shape {values.shape}")
+        return values.reshape(frames, width)
+
+    def text(self, name: str, default: str = "") -> str:
+        """The scalar text ``name`` (bytes are decoded)."""
+        value = self._arrays.get(name)
+        if value is None or value.size != 1 or value.dtype.kind not in "US":
+            return default
+        value = value.reshape(-1)[0]
+        return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _read(file: np.lib.npyio.NpzFile, name: str) -> np.ndarray | None:
+    """One array, or none where it is an array of Python objects, which is not unpickled."""
+    try:
+        return file[name]
+    except ValueError as error:
+        if "allow_pickle" in str(error):
+            return None
+        raise

@@ -1,0 +1,80 @@
+"""Caphy's own pose file: a pickle-free ``.npz`` that says what its numbers mean."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from caphy.conventions import JOINT_NAMES
+from caphy.errors import CaphyError
+from caphy.io.poses.archive import Archive
+from caphy.io.poses.sequence import PoseSequence
+
+SCHEMA: Final = "caphy-poses"
+VERSION: Final = 1
+
+
+def write_poses(sequence: PoseSequence, path: Path) -> None:
+    """Write a sequence as ``.npz``, whole or not at all; float64, nothing is lost."""
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise CaphyError(f"{path}: a pose file's name must end in .npz")
+    header = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "units": {"poses": "rad, axis-angle", "transl": "m", "pelvis": "m", "fps": "Hz"},
+        "joints": JOINT_NAMES,
+        "fps": sequence.fps,
+        "up_axis": sequence.up_axis,
+        "frame": sequence.frame,
+        "model": sequence.model,
+        "source": sequence.source,
+        "notes": sequence.notes,
+    }
+    names = ("poses", "transl", "pelvis", *(() if sequence.betas is None else ("betas",)))
+    arrays: dict[str, Any] = {name: getattr(sequence, name) for name in names}
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+    except OSError as error:
+        raise CaphyError(f"{path}: cannot be written: {error}") from error
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def is_canonical(archive: Archive) -> bool:
+    """Whether the archive was written by :func:`write_poses`."""
+    return SCHEMA in archive.text("header")
+
+
+def read_canonical(archive: Archive) -> PoseSequence:
+    """The sequence in a file of :func:`write_poses`; raises :class:`CaphyError`."""
+    try:
+        header = json.loads(archive.text("header"))
+        version, joints = header["version"], tuple(header["joints"])
+        fields = {name: header[name] for name in ("fps", "up_axis", "frame", "model", "source")}
+        notes = tuple(header["notes"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise CaphyError(f"{archive.path}: its header cannot be understood: {error!r}") from error
+    if version != VERSION:
+        raise CaphyError(f"{archive.path}: schema version must be {VERSION}, got {version}; update caphy")
+    if joints != JOINT_NAMES:
+        raise CaphyError(f"{archive.path}: joints must be SMPL-X's 55 in order, got {len(joints)} others")
+    return PoseSequence(
+        poses=archive.floats("poses"),
+        transl=archive.floats("transl"),
+        pelvis=archive.floats("pelvis"),
+        betas=archive.floats("betas") if "betas" in archive else None,
+        notes=notes,
+        **fields,
+    )

@@ -1,0 +1,40 @@
+"""CMU motion capture clips, retargeted to the bundled body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from caphy.io.poses.bvh import read_bvh
+from caphy.io.poses.sequence import PoseSequence
+from caphy.io.poses.skeleton import SkeletonMotion
+from caphy.io.retarget import retarget
+from caphy.io.retarget_rest import default_rest
+from caphy.rotations import axis_angle_from_matrix
+
+CALIBRATION_JOINTS: Final = 6
+"""At most so many joints are bent in the T-pose that the cgspeed conversion puts before the first frame."""
+
+
+def read_cmu_bvh(path: Path, fps: float | None = None) -> PoseSequence:
+    """A clip of the CMU database as BVH; ``fps`` [Hz] overrides the file's. Raises :class:`CaphyError`."""
+    return retarget(without_calibration_frame(read_bvh(path, fps)), default_rest())
+
+
+def without_calibration_frame(motion: SkeletonMotion) -> SkeletonMotion:
+    """The motion without the T-pose some conversions put first, which no frame leads to or from."""
+    if len(motion.root) < 2:
+        return motion
+    angles = np.linalg.norm(axis_angle_from_matrix(motion.rotations[:2]), axis=-1)
+    bent = np.count_nonzero(angles > 1e-9, axis=-1)
+    if angles[0, 0] > 1e-9 or bent[0] > CALIBRATION_JOINTS or bent[1] <= CALIBRATION_JOINTS:
+        return motion
+    return replace(
+        motion,
+        rotations=motion.rotations[1:],
+        root=motion.root[1:],
+        notes=(*motion.notes, "the first frame is a T-pose of calibration and was dropped"),
+    )
