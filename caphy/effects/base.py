@@ -21,7 +21,7 @@ number of frames.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -178,7 +178,7 @@ class Effect:
         """
         x = e.x.detach().requires_grad_(True)
         with torch.enable_grad():
-            energy = self.energy(_moved(e, x), p)
+            energy = self.energy(replace(e, x=x), p)
             (gradient,) = torch.autograd.grad(energy.sum(), x, allow_unused=True)
         return energy.detach(), torch.zeros_like(x) if gradient is None else gradient
 
@@ -189,7 +189,7 @@ class Effect:
         """
         x = e.x.detach().requires_grad_(True)
         with torch.enable_grad():
-            energy = self.energy(_moved(e, x), p)
+            energy = self.energy(replace(e, x=x), p)
             (gradient,) = torch.autograd.grad(energy.sum(), x, create_graph=True, allow_unused=True)
             rows = []
             for vertex in range(x.shape[0]):
@@ -207,8 +207,17 @@ class Effect:
         return clamp_eigenvalues(self.hessian(e, p))
 
 
-def _moved(e: Elements, x: Tensor) -> Elements:
-    return Elements(x, e.rest, e.dt, e.origin, e.target, e.lagged, e.lagged_velocity, e.body)
+def gradient_jacobian(effect: Effect, e: Elements, p: Values) -> Tensor:
+    """Hessian (k, 3, k, 3, ..., n) by automatic differentiation of a closed-form ``effect.gradient``."""
+    x = e.x.detach().requires_grad_(True)
+    with torch.enable_grad():
+        _, gradient = effect.gradient(replace(e, x=x), p)
+        rows = [
+            torch.autograd.grad(gradient[vertex, axis].sum(), x, retain_graph=True)[0]
+            for vertex in range(x.shape[0])
+            for axis in range(3)
+        ]
+    return torch.stack(rows).reshape(x.shape[:2] + x.shape)
 
 
 def clamp_eigenvalues(hessian: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.garment.topology import edges, hinges
+from caphy.garment.topology import edges, hinge_faces, hinges
 
 
 @dataclass(frozen=True)
@@ -79,3 +79,17 @@ class Cloth:
     def hinges(self) -> np.ndarray:
         """Vertex indices of every interior edge with its two opposite vertices, (H, 4): edge a, edge b, c, d."""
         return hinges(self.faces)
+
+    @cached_property
+    def hinge_faces(self) -> np.ndarray:
+        """The two faces of each hinge, (H, 2): of a, b, c and of b, a, d."""
+        return hinge_faces(self.faces)
+
+    @cached_property
+    def hinge_edges(self) -> np.ndarray:
+        """Edge a -> b of each hinge in the thread frames of its two faces [m], (H, 2, 2): face, (u, v)."""
+        corners = self.faces[self.hinge_faces]
+        a, b = ((corners == self.hinges[:, None, end : end + 1]).argmax(-1) for end in (0, 1))
+        material = self.material[self.hinge_faces]
+        start, end = (np.take_along_axis(material, k[..., None, None], axis=2)[:, :, 0] for k in (a, b))
+        return end - start

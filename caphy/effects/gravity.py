@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from caphy.conventions import GRAVITY
 from caphy.effects.base import Effect, Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.vectors import dot
+from caphy.effects.vectors import dot, isotropic
 
 
 class Gravity(Effect):
@@ -25,3 +26,13 @@ class Gravity(Effect):
     def energy(self, e: Elements, p: Values) -> Tensor:
         (x,) = e.x
         return -e.rest["mass"] * dot(p["acceleration"], x)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        force = -p["acceleration"].reshape(3, *(1,) * (e.x.dim() - 2)) * e.rest["mass"]
+        return self.energy(e, p), force.expand(e.x.shape)
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        return isotropic(torch.zeros_like(e.rest["mass"]), e.x)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        return self.hessian(e, p)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from caphy.effects.base import Effect, Elements, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.vectors import dot
+from caphy.effects.vectors import dot, isotropic
 
 
 class Inertia(Effect):
@@ -25,3 +25,17 @@ class Inertia(Effect):
         assert e.target is not None and e.dt is not None
         (offset,) = e.x - e.target
         return e.rest["mass"] / (2 * e.dt**2) * dot(offset, offset)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        assert e.target is not None and e.dt is not None
+        offset = e.x - e.target
+        force = e.rest["mass"] / e.dt**2 * offset
+        return 0.5 * dot(force[0], offset[0]), force
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        """Constant and positive definite."""
+        assert e.dt is not None
+        return isotropic(e.rest["mass"] / e.dt**2, e.x)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        return self.hessian(e, p)

@@ -22,3 +22,14 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 def norm(a: Tensor, floor: float = 1e-12) -> Tensor:
     """Length (..., n) of a vector field (3, ..., n); its gradient stays finite at zero length."""
     return torch.sqrt(dot(a, a).clamp_min(floor * floor))
+
+
+def outer(a: Tensor, b: Tensor) -> Tensor:
+    """Outer products (k, 3, k, 3, ..., n) of element gradients (k, 3, ..., n)."""
+    return a[:, :, None, None] * b
+
+
+def isotropic(stiffness: Tensor, x: Tensor) -> Tensor:
+    """Hessians (1, 3, 1, 3, ..., n) of vertex springs of a stiffness (n,) [N/m] at positions (1, 3, ..., n)."""
+    identity = torch.eye(3, dtype=x.dtype, device=x.device)
+    return (identity.reshape(1, 3, 1, 3, *(1,) * (x.dim() - 2)) * stiffness).expand(1, 3, 1, *x.shape[1:])

@@ -1,0 +1,58 @@
+"""The dihedral angle of a hinge - two triangles that share an edge - and its gradient.
+
+A hinge is [edge a, edge b, wing c, wing d] with faces (a, b, c) and (b, a, d). The angle between the two normals is
+zero when flat and positive where the faces bend away from their normals (a ridge seen from outside).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.cloth import Cloth
+from caphy.effects.vectors import cross, dot
+
+COLLAPSED = 1e-3
+"""Below this fraction of its rest size a triangle or edge counts as collapsed and its angle gradient stops growing."""
+
+
+def hinge_rest(cloth: Cloth) -> dict[str, np.ndarray]:
+    """Rest constants of hinges: ``length`` [m], ``area`` of both faces [m^2], ``angle`` [rad], (n,) each."""
+    x = torch.as_tensor(cloth.vertices[cloth.hinges], dtype=torch.float64).movedim(0, -1)
+    return {
+        "length": np.linalg.norm(cloth.hinge_edges, axis=-1).mean(-1),
+        "area": cloth.face_area[cloth.hinge_faces].sum(-1),
+        "angle": dihedral(x).numpy(),
+    }
+
+
+def dihedral(x: Tensor) -> Tensor:
+    """Signed angle (..., n) [rad] in (-pi, pi] of hinges (4, 3, ..., n); zero where a triangle has no area."""
+    a, b, c, d = x
+    edge, wing = b - a, d - a
+    normal_c, normal_d = cross(edge, c - a), cross(wing, edge)
+    length = torch.sqrt(dot(edge, edge).clamp_min(torch.finfo(x.dtype).tiny))
+    return torch.atan2(-length * dot(normal_c, wing), dot(normal_c, normal_d))
+
+
+def dihedral_gradient(x: Tensor, length: Tensor, area: Tensor) -> tuple[Tensor, Tensor]:
+    """Angles (..., n) [rad] of hinges (4, 3, ..., n) and their gradients (4, 3, ..., n) [rad/m].
+
+    Raising a wing along its normal turns it by 1 / height, and the edge's ends take the reaction so that no net force
+    or torque is left (Bridson et al., SCA 2003). ``length`` [m] and ``area`` [m^2] at rest (n,) say what counts as
+    collapsed; there the gradient is bounded instead of infinite.
+    """
+    a, b, c, d = x
+    edge, wing_c, wing_d = b - a, c - a, d - a
+    normal_c, normal_d = cross(edge, wing_c), cross(wing_d, edge)
+    square = dot(edge, edge)
+    edge_length = torch.sqrt(square.clamp_min(torch.finfo(x.dtype).tiny))
+    angle = torch.atan2(-edge_length * dot(normal_c, wing_d), dot(normal_c, normal_d))
+
+    smallest = (COLLAPSED * area) ** 2
+    slope_c = -edge_length / torch.maximum(dot(normal_c, normal_c), smallest) * normal_c
+    slope_d = -edge_length / torch.maximum(dot(normal_d, normal_d), smallest) * normal_d
+    inverse = 1 / torch.maximum(square, (COLLAPSED * length) ** 2)
+    at_b = (dot(wing_c, edge) * inverse) * slope_c + (dot(wing_d, edge) * inverse) * slope_d
+    return angle, torch.stack([at_b - slope_c - slope_d, -at_b, slope_c, slope_d])

@@ -1,0 +1,76 @@
+"""In-plane elasticity of a St. Venant-Kirchhoff membrane."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.base import Effect, Elements, Parameter, Values
+from caphy.effects.cloth import Cloth
+from caphy.effects.membrane import (
+    Deformation,
+    Symmetric,
+    Tangent,
+    membrane_gradient,
+    membrane_hessian,
+    membrane_rest,
+    positive_part,
+)
+
+
+class StrainStVK(Effect):
+    """Isotropic St. Venant-Kirchhoff membrane, E = A (lambda/2 tr(G)^2 + mu tr(G^2)) [J] per face.
+
+    lambda and mu are those of the sheet [N/m], thickness included. The defaults are SNUG's cotton: Young's modulus
+    0.7e5 Pa, Poisson's ratio 0.485, thickness 0.47 mm.
+    """
+
+    name = "strain_stvk"
+    element = "face"
+    parameters = {
+        "lame_lambda": Parameter(20.9, "N/m", 0.0, 1e5, doc="first Lame parameter of the sheet"),
+        "lame_mu": Parameter(11.1, "N/m", 0.0, 1e5, doc="second Lame parameter (shear) of the sheet"),
+    }
+    reference = "Santesteban, Otaduy, Casas, SNUG, CVPR 2022, eq. 5; CaPhy eq. 4-6"
+    internal = True
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        return membrane_rest(cloth)
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        return e.rest["area"] * _density(Deformation.of(e).strain, p)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        deformation = Deformation.of(e)
+        energy = e.rest["area"] * _density(deformation.strain, p)
+        return energy, membrane_gradient(e, deformation, _stress(deformation.strain, p))
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        deformation = Deformation.of(e)
+        stress = _stress(deformation.strain, p)
+        return membrane_hessian(e, deformation, stress, _tangent(stress[0], p))
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        """Compressive stress left out; the material part is semi-definite as it stands."""
+        deformation = Deformation.of(e)
+        stress = positive_part(_stress(deformation.strain, p))
+        return membrane_hessian(e, deformation, stress, _tangent(stress[0], p))
+
+
+def _density(strain: Symmetric, p: Values) -> Tensor:
+    uu, vv, uv = strain
+    trace = uu + vv
+    return 0.5 * p["lame_lambda"] * trace * trace + p["lame_mu"] * (uu * uu + vv * vv + 2 * uv * uv)
+
+
+def _stress(strain: Symmetric, p: Values) -> Symmetric:
+    uu, vv, uv = strain
+    pressure, double_mu = p["lame_lambda"] * (uu + vv), 2 * p["lame_mu"]
+    return pressure + double_mu * uu, pressure + double_mu * vv, double_mu * uv
+
+
+def _tangent(like: Tensor, p: Values) -> Tangent:
+    lame_lambda, mu, zero = p["lame_lambda"], p["lame_mu"], torch.zeros_like(like)
+    direct = zero + (lame_lambda + 2 * mu)
+    return direct, direct, zero + mu, zero + lame_lambda, zero, zero
