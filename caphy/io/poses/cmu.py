@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from caphy.io.poses.asfamc import read_amc
 from caphy.io.poses.bvh import read_bvh
 from caphy.io.poses.sequence import PoseSequence
 from caphy.io.poses.skeleton import SkeletonMotion
@@ -22,6 +23,11 @@ CALIBRATION_JOINTS: Final = 6
 def read_cmu_bvh(path: Path, fps: float | None = None) -> PoseSequence:
     """A clip of the CMU database as BVH; ``fps`` [Hz] overrides the file's. Raises :class:`CaphyError`."""
     return retarget(without_calibration_frame(read_bvh(path, fps)), default_rest())
+
+
+def read_cmu_amc(path: Path, fps: float | None = None) -> PoseSequence:
+    """A clip of the CMU database as AMC with its ASF beside it; ``fps`` [Hz] must be given."""
+    return retarget(read_amc(path, fps), default_rest())
 
 
 def without_calibration_frame(motion: SkeletonMotion) -> SkeletonMotion:
