@@ -161,8 +161,11 @@ def build_bodies() -> dict[str, dict[str, np.ndarray]]:
 
 def _shape_space(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shape directions (V, 3, S) and (55, 3, S) per standard deviation, of bodies (B, V, 3) and (B, 55, 3)."""
-    deviations = (vertices - vertices.mean(axis=0)).reshape(len(vertices), -1)
-    left, sizes, right = np.linalg.svd(deviations, full_matrices=False)
+    mean = vertices.mean(axis=0)
+    left, sizes, right = np.linalg.svd((vertices - mean).reshape(len(vertices), -1), full_matrices=False)
+    up = right.reshape(-1, *mean.shape)[..., 1]
+    taller = np.sign(up[:, np.argmax(mean[:, 1])] - up[:, np.argmin(mean[:, 1])])  # fixes the sign an SVD leaves open
+    left, right = left * taller, right * taller[:, None]
     kept = slice(0, SHAPE_COMPONENTS)
     sigma = sizes[kept] / np.sqrt(len(vertices) - 1)
     betas = left[:, kept] * np.sqrt(len(vertices) - 1)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from caphy.body.surface import nearest_on_surface
+
 EDGE_LENGTH = 0.027
 """Target edge of the coarse mesh [m]."""
 
@@ -28,14 +30,11 @@ def coarse_mesh(
         quantity of the fine body carries over by interpolation.
     """
     import gpytoolbox
-    import igl
 
     enlarged = _enlarged(vertices, centres)
     coarse, coarse_faces = gpytoolbox.remesh_botsch(enlarged, faces.astype(np.int32), 8, EDGE_LENGTH, True)
-    _, face, point = igl.point_mesh_squared_distance(coarse, enlarged, faces.astype(np.int64))
-    corners = enlarged[faces[face]]
-    weights = igl.barycentric_coordinates(point, corners[:, 0], corners[:, 1], corners[:, 2])
-    return coarse_faces.astype(np.int32), face.astype(np.int64), weights
+    nearest = nearest_on_surface(coarse, enlarged, faces)
+    return coarse_faces.astype(np.int32), nearest.face, nearest.barycentric
 
 
 def _enlarged(vertices: np.ndarray, centres: dict[str, np.ndarray]) -> np.ndarray:

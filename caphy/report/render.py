@@ -18,7 +18,7 @@ CLOTH = ((0.33, 0.52, 0.75), (0.30, 0.33, 0.42), (0.78, 0.45, 0.35), (0.45, 0.62
 """Colours [sRGB, 0 to 1] for the body and for up to four garments."""
 
 _AMBIENT, _SHADOW = 0.35, 0.45
-_LIGHT = np.array([0.45, 0.75, 0.55]) / np.linalg.norm([0.45, 0.75, 0.55])
+_LIGHT = np.array([-0.45, 0.75, -0.75])  # direction towards the light as right, up, forward of the camera: over the shoulder
 _SAMPLES = 2  # rays per pixel and axis
 
 
@@ -61,7 +61,8 @@ def render(
         shapes = [*shapes, _floor(points, ground)]
     scene = _Scene(shapes)
     rays = camera.rays(width * _SAMPLES, height * _SAMPLES)
-    hit, colour = scene.shade(camera.eye, rays, shadows)
+    light = _LIGHT @ np.stack(camera.axes())
+    hit, colour = scene.shade(camera.eye, rays, light / np.linalg.norm(light), shadows)
     pixels = np.tile(np.asarray(BACKGROUND, dtype=np.float32), (len(rays), 1))
     pixels[hit] = colour
     pixels = pixels.reshape(height, _SAMPLES, width, _SAMPLES, 3).mean(axis=(1, 3))
@@ -81,7 +82,9 @@ class _Scene:
         )
         self._embree = _embree_scene(self.vertices, self.faces)
 
-    def shade(self, eye: np.ndarray, rays: np.ndarray, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
+    def shade(
+        self, eye: np.ndarray, rays: np.ndarray, light: np.ndarray, shadows: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Indices (H,) of the rays that hit something, and what they see (H, 3)."""
         origins = np.broadcast_to(eye, rays.shape).astype(np.float32)
         found = self._embree.run(np.ascontiguousarray(origins), rays.astype(np.float32), output=True)
@@ -93,16 +96,16 @@ class _Scene:
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
         away = np.sum(normals * rays[hit], axis=-1) > 0  # the inside of cloth is lit like its outside
         normals[away] *= -1
-        light = np.maximum(normals @ _LIGHT.astype(np.float32), 0)
+        lit = np.maximum(normals @ light, 0)
         if shadows:
-            light *= 1 - _SHADOW * self._shadowed(eye + rays[hit] * found["tfar"][hit, None], normals)
+            lit *= 1 - _SHADOW * self._shadowed(eye + rays[hit] * found["tfar"][hit, None], normals, light)
         fill = 0.5 + 0.5 * np.abs(np.sum(normals * rays[hit], axis=-1))  # edges a little darker than middles
-        shade = _AMBIENT * fill + (1 - _AMBIENT) * light
+        shade = _AMBIENT * fill + (1 - _AMBIENT) * lit
         return hit, (self.colours[corners] * weights).sum(axis=1) * shade[:, None].astype(np.float32) * 1.15
 
-    def _shadowed(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def _shadowed(self, points: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         origins = (points + 2e-3 * normals).astype(np.float32)
-        towards = np.broadcast_to(_LIGHT.astype(np.float32), origins.shape)
+        towards = np.broadcast_to(light.astype(np.float32), origins.shape)
         return self._embree.run(origins, np.ascontiguousarray(towards), query="OCCLUDED") == 0
 
 
