@@ -6,15 +6,19 @@ from collections import OrderedDict
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from caphy.body.kinematics import joint_transforms
 from caphy.body.model import BodyModel
 from caphy.body.skinning import blend_transforms, skin
-from caphy.body.surface import NearestPoints, nearest_on_faces, nearest_on_surface
+from caphy.body.surface import NearestPoints, Surface, nearest_on_faces
 from caphy.effects.base import BodyState
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.rotations import axis_angle_from_quaternion, matrix_from_axis_angle, quaternion_from_axis_angle, slerp
+
+REACH = 0.05
+"""Distance from the body beyond which a first guess ignores it [m]."""
 
 _REMEMBERED = 16  # posed bodies kept; a step asks for a few times, again and again
 
@@ -38,7 +42,10 @@ class BodyMotion:
         self.poses = poses.to_y_up(self._joints[0])
         self.fps = self.poses.fps
         self._quaternions = quaternion_from_axis_angle(self.poses.poses)
+        self._surface = Surface.of(body.faces, body.v_template)
+        self._faces = np.zeros(0, dtype=np.int64)  # answers of the last query, which speed up the next
         self._posed: OrderedDict[float, np.ndarray] = OrderedDict()
+        self._anchor_time, self._anchors = np.nan, garment.vertices
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -84,45 +91,68 @@ class BodyMotion:
         """The skinned garment template (N, V, 3) [m] at times (N,) [s]."""
         return skin(self.transforms(times), self.garment.vertices)
 
+    def carried(self, x: np.ndarray, free: np.ndarray, start: float, stop: float) -> np.ndarray:
+        """A guess (V, 3) [m] of where cloth will be at time ``stop`` [s].
+
+        Cloth that touches the body at time ``start`` in positions x (V, 3) moves along with its limb; cloth farther
+        away than :data:`REACH` goes where it would fly freely, ``free`` (V, 3); in between it does a bit of both.
+        """
+        before, after = self.transforms(np.array([start, stop]))
+        turned = np.abs(np.linalg.det(before[..., :3])) > 0.1  # skinning collapses where joints fold up
+        inverse = np.linalg.inv(np.where(turned[:, None, None], before[..., :3], np.eye(3)))
+        rest = (inverse @ (x - before[..., 3])[..., None])[..., 0]
+        along = np.where(turned[:, None], skin(after, rest), x + skin(after - before, self.garment.vertices))
+        near = np.clip(1 - np.abs(self.nearest(start, x).distance) / REACH, 0, 1)[:, None]
+        return near * along + (1 - near) * free
+
     def nearest(self, time: float, x: np.ndarray) -> NearestPoints:
         """Nearest points of the body surface at a time [s] for positions x (V, 3) [m]."""
-        return nearest_on_surface(x, self.vertices(np.array([time]))[0], self.body.faces)
+        guess = self._faces if len(self._faces) == len(x) else None
+        found = self._surface.nearest(x, self.vertices(np.array([time]))[0], guess)
+        self._faces = found.face
+        return found
 
-    def state(self, time: float, x: np.ndarray, dt: float, faces: np.ndarray | None = None) -> BodyState:
+    def state(self, time: float, x: np.ndarray, dt: float) -> BodyState:
         """What positions x (V, 3) [m] see of the body at a time [s].
 
         The body's velocity is its displacement over the last ``dt`` seconds, as implicit Euler sees velocities.
-        With ``faces`` (V,) the nearest points are sought on these triangles only.
         """
-        now, before = self.vertices(np.array([time, time - dt]))
-        return self._state(now, before, self.anchors(np.array([time]))[0], x, dt, faces)
-
-    def states(self, times: np.ndarray, x: np.ndarray, dt: float, faces: np.ndarray | None = None) -> BodyState:
-        """:meth:`state` at several times (N,) [s] for positions x (N, V, 3) [m]; faces (N, V) or none."""
-        now, before = self.vertices(times), self.vertices(times - dt)
-        each = [
-            self._state(now[i], before[i], anchor, x[i], dt, None if faces is None else faces[i])
-            for i, anchor in enumerate(self.anchors(times))
-        ]
-        fields = ("point", "normal", "velocity", "anchor")
-        return BodyState(*(torch.stack([getattr(state, name) for state in each]) for name in fields))
-
-    def nearest_faces(self, times: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """The body triangle (N, V) nearest to each position x (N, V, 3) [m] at times (N,) [s]."""
-        return np.stack([self.nearest(time, points).face for time, points in zip(times, x, strict=True)])
-
-    def _state(
-        self,
-        now: np.ndarray,
-        before: np.ndarray,
-        anchor: np.ndarray,
-        x: np.ndarray,
-        dt: float,
-        faces: np.ndarray | None,
-    ) -> BodyState:
-        triangles = self.body.faces
-        found = nearest_on_surface(x, now, triangles) if faces is None else nearest_on_faces(x, now, triangles, faces)
-        corners = triangles[found.face]
-        earlier = np.einsum("vk,vkc->vc", found.barycentric, before[corners])
-        velocity = (found.point - earlier) / dt
+        found = self.nearest(time, x)
+        before = self.vertices(np.array([time - dt]))[0][self.body.faces[found.face]]
+        velocity = (found.point - np.einsum("vk,vkc->vc", found.barycentric, before)) / dt
+        anchor = self._anchor(time)
         return BodyState(*(torch.from_numpy(field) for field in (found.point, found.normal, velocity, anchor)))
+
+    def states(self, times: np.ndarray, x: np.ndarray, dt: float) -> tuple[BodyState, np.ndarray]:
+        """:meth:`state` at several times (N,) [s] for positions x (N, V, 3) [m], and the nearest faces (N, V)."""
+        each, faces = [], []
+        for time, points in zip(times.tolist(), x, strict=True):
+            each.append(self.state(time, points, dt))
+            faces.append(self._faces)
+        fields = ("point", "normal", "velocity", "anchor")
+        return BodyState(*(torch.stack([getattr(state, name) for state in each]) for name in fields)), np.stack(faces)
+
+    def _anchor(self, time: float) -> np.ndarray:
+        if time != self._anchor_time:
+            self._anchor_time, self._anchors = time, self.anchors(np.array([time]))[0]
+        return self._anchors
+
+
+def state_on_faces(
+    x: Tensor, faces: Tensor, now: Tensor, before: Tensor, anchor: Tensor, triangles: Tensor, dt: float
+) -> BodyState:
+    """The body as batches of positions see it when the nearest triangles are known; for training.
+
+    Args:
+        x: positions (..., V, 3) [m].
+        faces: nearest body triangle of each, (..., V), as :meth:`BodyMotion.states` finds them.
+        now, before: body vertices (..., B, 3) [m] at the frames and ``dt`` seconds earlier.
+        anchor: skinned template (..., V, 3) [m].
+        triangles: faces of the body, (F, 3).
+        dt: time step [s].
+    """
+    found = nearest_on_faces(x, now, triangles, faces)
+    corners = triangles[faces].flatten(-2)[..., None].expand(*faces.shape[:-1], -1, 3)
+    earlier = torch.take_along_dim(before, corners, -2).unflatten(-2, (-1, 3))
+    velocity = (found.point - (found.barycentric[..., None] * earlier).sum(-2)) / dt
+    return BodyState(found.point, found.normal, velocity, anchor)

@@ -1,0 +1,169 @@
+"""Minimisation of an incremental potential by Newton's method with a line search; it says whether it converged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.base import BodyState, Step
+from caphy.effects.potential import Potential
+from caphy.errors import CaphyError
+from caphy.solve.assembly import Hessian
+from caphy.solve.factorize import Factor
+
+TOLERANCE = 5e-5
+"""Largest component of the net force on any vertex at which a step counts as converged [N]."""
+
+SAFE_TRAVEL = 0.01
+"""A vertex may travel its distance to the body plus this in one iteration [m]: thinner than any limb."""
+
+_SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
+_HALVINGS = 30
+
+Body = Callable[[Tensor], BodyState]
+"""What positions (V, 3) [m] see of the body at the time of the step."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a minimisation ended.
+
+    Attributes:
+        converged: the residual is within the tolerance.
+        iterations: Newton iterations taken.
+        residual: largest component of the net force on any free vertex [N].
+        reason: why it stopped, in words.
+    """
+
+    converged: bool
+    iterations: int
+    residual: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A trial state and what the potential says of it."""
+
+    x: Tensor
+    body: BodyState | None
+    energy: float
+    gradient: np.ndarray
+
+    @property
+    def residual(self) -> float:
+        return float(np.abs(self.gradient).max())
+
+
+class Newton:
+    """Newton's method for the potential of one garment; everything symbolic is prepared once.
+
+    The Hessian is the sum of positive semi-definite element Hessians, so that every direction is one of descent
+    (Teran et al., SCA 2005), and the body's nearest points are found anew for every trial state, so that the line
+    search sees the true energy. Directions are damped by mass where the Hessian is singular (statics).
+    """
+
+    def __init__(
+        self,
+        potential: Potential,
+        fixed: np.ndarray | None = None,
+        tolerance: float = TOLERANCE,
+        max_iterations: int = 100,
+    ) -> None:
+        """``fixed`` (V,) marks vertices that stay where the guess has them; ``tolerance`` in newtons."""
+        self.potential, self.tolerance, self.max_iterations = potential, tolerance, max_iterations
+        self.fixed = fixed
+        self.hessian = Hessian(potential, fixed)
+        self._free = None if fixed is None else (~fixed).astype(float)[:, None]
+        self._mass = potential.cloth.mass
+
+    def minimise(
+        self, guess: Tensor, step: Step | None, body: Body | None = None, damping: float = 0.0
+    ) -> tuple[Tensor, Report]:
+        """The minimiser (V, 3) [m] reached from a guess.
+
+        Args:
+            guess: positions to start from (V, 3) [m].
+            step: the step of the dynamics; None in statics.
+            body: the body at that time; None without one.
+            damping: mass-proportional damping of the first iteration [1/s^2]; fades while steps succeed.
+
+        Raises:
+            CaphyError: the guess or its energy is not finite.
+        """
+        here = self._evaluate(guess, step, body)
+        if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
+            raise CaphyError("the state to start from must be finite, with finite energy; check pose and garment")
+        for iteration in range(self.max_iterations):
+            if here.residual <= self.tolerance:
+                return here.x, Report(True, iteration, here.residual, "converged")
+            direction, damping = self._direction(here, step, damping)
+            there, fraction = self._search(here, direction, step, body)
+            if there is None:
+                if damping > 1e12:
+                    return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
+                damping = max(100 * damping, 1.0)
+                continue
+            damping = damping / 4 if fraction == 1 else damping
+            here = there
+        converged = here.residual <= self.tolerance
+        reason = "converged" if converged else f"stopped after {self.max_iterations} iterations"
+        return here.x, Report(converged, self.max_iterations, here.residual, reason)
+
+    def factorize(self, x: Tensor, step: Step | None, body: Body | None = None, projected: bool = False) -> Factor:
+        """The factorised Hessian at positions (V, 3) [m], for tangents of the converged step.
+
+        Exact where it is positive definite (as at a proper minimum), projected otherwise or if asked for.
+        """
+        state = None if body is None else body(x)
+        factor = None if projected else self.hessian.factorize(self.hessian.values(x, step, state, projected=False))
+        values = None if factor is not None else self.hessian.values(x, step, state)
+        return factor if values is None else self._damped(values, 0.0)[0]
+
+    def _evaluate(self, x: Tensor, step: Step | None, body: Body | None) -> _Point:
+        state = None if body is None else body(x)
+        energy, gradient = self.potential.gradient(x, step, state)
+        forces = gradient.numpy()
+        return _Point(x, state, float(energy), forces if self._free is None else forces * self._free)
+
+    def _direction(self, here: _Point, step: Step | None, damping: float) -> tuple[np.ndarray, float]:
+        values = self.hessian.values(here.x, step, here.body)
+        factor, damping = self._damped(values, damping)
+        return -factor.solve(here.gradient), damping
+
+    def _damped(self, values: np.ndarray, damping: float) -> tuple[Factor, float]:
+        """The factor of the Hessian with just enough mass-proportional damping to be positive definite."""
+        while True:
+            shifted = self.hessian.shifted(values, damping * self._mass) if damping > 1e-6 else values
+            factor = self.hessian.factorize(shifted)
+            if factor is not None:
+                return factor, damping
+            damping = max(10 * damping, 1e-3)
+
+    def _search(
+        self, here: _Point, direction: np.ndarray, step: Step | None, body: Body | None
+    ) -> tuple[_Point | None, float]:
+        """The first halving of a safe step that lowers the energy enough (Armijo), and its fraction."""
+        slope = float((here.gradient * direction).sum())
+        rounding = 1e-13 * max(abs(here.energy), 1.0)
+        fraction = min(1.0, _safe_fraction(here, direction))
+        move = torch.from_numpy(direction)
+        for _ in range(_HALVINGS):
+            there = self._evaluate(here.x + fraction * move, step, body)
+            if there.energy <= here.energy + _SUFFICIENT * fraction * slope + rounding:
+                return there, fraction
+            fraction /= 2
+        return None, 0.0
+
+
+def _safe_fraction(here: _Point, direction: np.ndarray) -> float:
+    """The part of a direction (V, 3) along which no vertex can pass through the body."""
+    if here.body is None:
+        return 1.0
+    room = np.linalg.norm(here.x.numpy() - here.body.point.numpy(), axis=1) + SAFE_TRAVEL
+    travel = np.linalg.norm(direction, axis=1)
+    return float((room / np.maximum(travel, 1e-12)).min())

@@ -1,0 +1,60 @@
+"""The state a simulation starts from: the garment draped in T-pose, then worn into the motion's first frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from caphy.io.poses import PoseSequence
+from caphy.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from caphy.solve.body_motion import BodyMotion
+from caphy.solve.integrators import ImplicitEuler, State
+from caphy.solve.newton import Newton
+from caphy.solve.rollout import Simulator
+
+SECONDS = 1.0
+"""Length of the way from the T-pose into the first frame [s]."""
+
+_FPS = 30.0
+_RUN_UP = 0.1  # seconds of the first frame's own motion that the preroll anticipates
+
+
+def preroll_poses(poses: PoseSequence, seconds: float = SECONDS) -> PoseSequence:
+    """A way from the T-pose into the first frame that arrives there at the speed of the motion.
+
+    The root keeps the first frame's orientation and travels at its velocity (which no cloth can feel); joints follow
+    the shortest rotation, eased in and out.
+    """
+    count = round(seconds * _FPS) + 1
+    back = np.linspace(-seconds, 0, count)[:, None]  # time before the first frame
+    first = quaternion_from_axis_angle(poses.poses[:1])
+    target = first
+    if len(poses) > 1:
+        following = quaternion_from_axis_angle(poses.poses[1:2])
+        lead = -_RUN_UP * (1 - np.exp(back / _RUN_UP)) * poses.fps
+        target = slerp(first, following, lead)
+    rest = np.zeros_like(first)
+    rest[..., 0] = 1
+    rest[:, 0] = first[:, 0]
+    s = 1 + back / seconds
+    arrived = slerp(np.broadcast_to(rest, (count, *rest.shape[1:])), target, s * s * (3 - 2 * s))
+    velocity = (poses.transl[1] - poses.transl[0]) * poses.fps if len(poses) > 1 else np.zeros(3)
+    transl = poses.transl[0] + back * velocity
+    return replace(poses, poses=axis_angle_from_quaternion(arrived), transl=transl, fps=_FPS)
+
+
+def start_state(newton: Newton, motion: BodyMotion, seconds: float = SECONDS) -> State:
+    """The state (time 0) at the motion's first frame, after dressing in T-pose and moving into that frame.
+
+    Integrated by implicit Euler, whose damping is welcome here.
+    """
+    way = BodyMotion(motion.body, preroll_poses(motion.poses, seconds), motion.garment, motion.betas)
+    anchors = way.anchors(np.array([0.0, 1 / way.fps]))
+    x = torch.from_numpy(anchors[0].copy())
+    state = State(0.0, x, torch.from_numpy((anchors[1] - anchors[0]) * way.fps))
+    simulator = Simulator(newton, way, ImplicitEuler())
+    for _ in range(len(way) - 1):
+        state, _ = simulator.advance(state, 1 / way.fps)
+    return State(0.0, state.x, state.v)

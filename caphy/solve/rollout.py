@@ -1,0 +1,153 @@
+"""Simulation of a garment on a moving body with the reference solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.base import Step
+from caphy.effects.potential import Potential
+from caphy.errors import CaphyError
+from caphy.garment.template import write_npz
+from caphy.solve.body_motion import BodyMotion
+from caphy.solve.integrators import SDIRK2, Integrator, State
+from caphy.solve.newton import Newton, Report
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A simulated motion.
+
+    Attributes:
+        positions: (T, V, 3) [m]; frame 0 is the state the simulation started from.
+        velocities: (T, V, 3) [m/s].
+        fps: frames per second [Hz].
+        reports: of every minimisation, one tuple for each frame but the first.
+    """
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    fps: float
+    reports: tuple[tuple[Report, ...], ...]
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.positions)
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Whether every minimisation of each frame converged, (T,)."""
+        return np.array([True, *(all(report.converged for report in frame) for frame in self.reports)])
+
+    @property
+    def iterations(self) -> np.ndarray:
+        """Newton iterations of each frame, (T,)."""
+        return np.array([0, *(sum(report.iterations for report in frame) for frame in self.reports)])
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Largest force left unbalanced in each frame (T,) [N]."""
+        return np.array([0.0, *(max(report.residual for report in frame) for frame in self.reports)])
+
+    def save(self, path: str | Path) -> None:
+        """Write an npz without pickles, atomically; positions and velocities as float32."""
+        arrays = {
+            "format": np.array("caphy-trajectory-1"),
+            "positions": self.positions.astype(np.float32),
+            "velocities": self.velocities.astype(np.float32),
+            "fps": np.array(self.fps),
+            "converged": self.converged,
+            "iterations": self.iterations,
+            "residual": self.residual,
+        }
+        write_npz(Path(path), arrays)
+
+
+class Simulator:
+    """Advances a garment in time by any integrator; each minimisation starts from cloth carried along by the body."""
+
+    def __init__(
+        self,
+        newton: Newton,
+        motion: BodyMotion | None = None,
+        integrator: Integrator | None = None,
+        pins: Callable[[float], Tensor] | None = None,
+    ) -> None:
+        """``pins`` gives the positions (P, 3) [m] of the solver's fixed vertices at a time [s]; without it they rest."""
+        self.newton, self.motion, self.pins = newton, motion, pins
+        self.integrator = SDIRK2() if integrator is None else integrator
+        self._pinned = None if newton.fixed is None else torch.from_numpy(np.flatnonzero(newton.fixed))
+
+    def advance(self, state: State, dt: float, substeps: int = 1) -> tuple[State, tuple[Report, ...]]:
+        """The state ``dt`` seconds later, in equal substeps, and the reports of all minimisations."""
+        reports: list[Report] = []
+        before = state.time
+
+        def solve(step: Step, time: float) -> Tensor:
+            nonlocal before
+            guess = self._guess(step, before, time)
+            motion, before = self.motion, time
+            body = None if motion is None else lambda x: motion.state(time, x.numpy(), step.dt)
+            x, report = self.newton.minimise(guess, step, body)
+            reports.append(report)
+            return x
+
+        for _ in range(substeps):
+            state = self.integrator.advance(state, dt / substeps, solve)
+        return state, tuple(reports)
+
+    def _guess(self, step: Step, before: float, time: float) -> Tensor:
+        """Where the cloth would fly freely, or near the body be carried along by it, so that no limb overtakes it."""
+        guess = step.target.clone()
+        if self.motion is not None:
+            guess = torch.from_numpy(self.motion.carried(step.lagged.numpy(), guess.numpy(), before, time))
+        if self._pinned is not None:
+            guess[self._pinned] = step.lagged[self._pinned] if self.pins is None else self.pins(time)
+        return guess
+
+
+def simulate(
+    potential: Potential,
+    motion: BodyMotion,
+    start: State | None = None,
+    integrator: Integrator | None = None,
+    substeps: int = 1,
+    tolerance: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Simulate a garment through all frames of a motion.
+
+    Args:
+        potential: the physics, in float64 on the CPU.
+        motion: the body and the garment on it.
+        start: state at the first frame; without one :func:`caphy.solve.preroll.start_state` makes it.
+        integrator: SDIRK2 unless given.
+        substeps: steps per frame.
+        tolerance: of the solver [N].
+        progress: told the number of frames done and in total.
+
+    Raises:
+        CaphyError: the start or the garment does not fit, or its energy is not finite.
+    """
+    from caphy.solve.preroll import start_state
+
+    newton = Newton(potential) if tolerance is None else Newton(potential, tolerance=tolerance)
+    state = start_state(newton, motion) if start is None else start
+    if state.x.shape != potential.cloth.vertices.shape:
+        raise CaphyError(f"the start must have positions {potential.cloth.vertices.shape}, got {tuple(state.x.shape)}")
+    simulator = Simulator(newton, motion, integrator)
+    states, reports = [state], []
+    for frame in range(1, len(motion)):
+        state, report = simulator.advance(State((frame - 1) / motion.fps, state.x, state.v), 1 / motion.fps, substeps)
+        states.append(state)
+        reports.append(report)
+        if progress is not None:
+            progress(frame + 1, len(motion))
+    positions = torch.stack([state.x for state in states]).numpy()
+    velocities = torch.stack([state.v for state in states]).numpy()
+    return Trajectory(positions, velocities, motion.fps, tuple(reports))
