@@ -1,0 +1,159 @@
+"""In-plane elasticity of the measured fabrics."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.base import Effect, Elements, Parameter, Values, clamp_eigenvalues
+from caphy.effects.cloth import Cloth
+from caphy.effects.membrane import (
+    Deformation,
+    Symmetric,
+    Tangent,
+    membrane_gradient,
+    membrane_hessian,
+    membrane_rest,
+    positive_part,
+)
+from caphy.material.fabrics import LOADED_TWICE, STRETCH_SAMPLED, fabric
+
+SMOOTHING = 0.003
+"""Green strain over which the kinks of the published interpolation are rounded: below what was measured."""
+
+LARGEST = ((1 + STRETCH_SAMPLED) ** 2 - 1) / 2
+"""Principal Green strain of the rows at 16.7 % stretch."""
+
+_NODES = np.cos(np.arange(5) * np.pi / 4)
+_POLYNOMIAL = torch.as_tensor(np.linalg.inv(np.vander(_NODES, increasing=True)))
+"""Coefficients (5, 5) of the polynomial in cos(2 angle) through values at 0, 22.5, 45, 67.5 and 90 degrees."""
+
+
+class StrainMeasured(Effect):
+    """Orthotropic membrane with measured stiffness, E = A/2 (K0 Guu^2 + 2 K1 Guu Gvv + K2 Gvv^2 + 2 K3 Guv^2) [J].
+
+    The measurement is a stress, S = k(G) G, with k from :func:`caphy.material.fabrics.stretching_stiffness`. With k
+    depending on strain that is not the gradient of 1/2 G k(G) G, and of no other energy either. Frozen k (as ARCSim
+    has it) would give a force without energy, on which no line search and no loss can stand. So the energy is the
+    measured work along straight loading from rest to G,
+
+        E = A int_0^1 S(tau G) : G dtau,      i.e.     K = 2 int_0^1 tau k(tau G) dtau,
+
+    a true function of G whose stress agrees with the measured one along the loading (S : G, all that a tensile test
+    measures). The direction enters through the polynomial in cos(2 angle) that meets the five measured directions,
+    which is even and periodic as orthotropy demands; near equal biaxial stretch, where no direction exists, it turns
+    to the value at 45 degrees. The corners of the published interpolation are rounded over 0.3 % strain, so that
+    stress and tangent are continuous. The default is a knit, gray interlock.
+    """
+
+    name = "strain_measured"
+    element = "face"
+    parameters = {
+        "stretching": Parameter(
+            tuple(map(tuple, fabric("gray-interlock").stretching.tolist())),
+            "N/m",
+            -1e4,
+            1e4,
+            linear=False,
+            doc="stretching table: C_uuuu, C_uuvv, C_vvvv, C_uv near zero strain and at 16.7 % in five directions",
+        )
+    }
+    reference = "Wang, O'Brien, Ramamoorthi, Data-driven elastic models for cloth, SIGGRAPH 2011; CaPhy eq. 4-7"
+    internal = True
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        return membrane_rest(cloth)
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        return e.rest["area"] * energy_density(Deformation.of(e).strain, p["stretching"])
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        deformation = Deformation.of(e)
+        density, stress, _ = _differentiated(deformation.strain, p["stretching"], order=1)
+        return e.rest["area"] * density, membrane_gradient(e, deformation, stress)
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        deformation = Deformation.of(e)
+        _, stress, tangent = _differentiated(deformation.strain, p["stretching"], order=2)
+        return membrane_hessian(e, deformation, stress, _entries(tangent))
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        """Compressive stress left out and the tangent's negative eigenvalues set to zero."""
+        deformation = Deformation.of(e)
+        _, stress, tangent = _differentiated(deformation.strain, p["stretching"], order=2)
+        tangent = clamp_eigenvalues(tangent[None, :, None])[0, :, 0]
+        return membrane_hessian(e, deformation, positive_part(stress), _entries(tangent))
+
+
+def energy_density(strain: Symmetric, table: Tensor) -> Tensor:
+    """Energy per rest area (..., n) [N/m] of Green strains uu, vv, uv (..., n) and a stretching table (6, 4)."""
+    uu, vv, uv = strain
+    k0, k1, k2, k3 = _stiffness(strain, table)
+    return 0.5 * (k0 * uu * uu + k2 * vv * vv) + k1 * uu * vv + k3 * uv * uv
+
+
+def _stiffness(strain: Symmetric, table: Tensor) -> list[Tensor]:
+    """K_0 ... K_3 (..., n) [N/m] of the class docstring."""
+    uu, vv, uv = strain
+    half = 0.5 * (uu - vv)
+    radius = torch.sqrt(half * half + uv * uv + SMOOTHING**2)
+    largest = _positive(0.5 * (uu + vv) + radius - SMOOTHING)
+    cosine = half / radius
+    directed = _POLYNOMIAL.to(table) @ table[1:]
+    stiffness = []
+    for column in range(4):
+        c0, c1, c2, c3, c4 = directed[:, column]
+        sampled = c0 + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4)))
+        stiffness.append(LOADED_TWICE * _mean_clamped(table[0, column], sampled, largest))
+    return stiffness
+
+
+def _mean_clamped(start: Tensor, sampled: Tensor, strain: Tensor) -> Tensor:
+    """2 int_0^1 tau max(k(tau g), 0) dtau of k = start + s (sampled - start) at largest principal strains g >= 0."""
+    rise = sampled - start
+    whole = start + _mean_weight(strain) * rise
+    zero = (-start / torch.where(rise == 0, 1, rise)).clamp(0, 1)  # the weight at which k changes sign
+    strain_there = zero * STRETCH_SAMPLED * (1 + 0.5 * zero * STRETCH_SAMPLED)
+    before = (strain_there / torch.maximum(strain, strain_there).clamp_min(SMOOTHING**2)) ** 2
+    before = before * (start + _mean_weight(strain_there) * rise)
+    changes = (_weight(strain) > zero) & (start * sampled < 0)
+    falling = torch.where(changes, before, whole)
+    rising = torch.where(changes, whole - before, torch.zeros_like(whole))
+    return torch.where(start >= 0, falling, torch.where(sampled > 0, rising, torch.zeros_like(whole)))
+
+
+def _positive(strain: Tensor) -> Tensor:
+    """max(strain, 0) with a smooth corner that is zero at zero."""
+    strain = strain.clamp_min(0)
+    return strain**3 / (strain * strain + SMOOTHING**2)
+
+
+def _weight(strain: Tensor) -> Tensor:
+    """The published weight s in [0, 1] of the sampled rows at largest principal strains: stretch less one, over 1/6."""
+    return (2 * strain / (torch.sqrt(1 + 2 * strain) + 1) / STRETCH_SAMPLED).clamp_max(1)
+
+
+def _mean_weight(strain: Tensor) -> Tensor:
+    """2 int_0^1 tau s(tau g) dtau at largest principal strains g >= 0, rational in the stretch less one."""
+    d = _weight(strain) * STRETCH_SAMPLED
+    within = d * (2 + d * (2.25 + 0.6 * d)) / (3 * STRETCH_SAMPLED * (1 + 0.5 * d) ** 2)
+    return 1 - (LARGEST / strain.clamp_min(LARGEST)) ** 2 * (1 - within)
+
+
+def _differentiated(strain: Symmetric, table: Tensor, order: int) -> tuple[Tensor, Symmetric, Tensor]:
+    """Density (..., n), stress and, for order 2, the tangent (3, 3, ..., n), in d / d(uu, vv, 2 uv)."""
+    with torch.enable_grad():
+        inputs = [part.detach().requires_grad_(True) for part in (strain[0], strain[1], 2 * strain[2])]
+        density = energy_density((inputs[0], inputs[1], 0.5 * inputs[2]), table)
+        stress = torch.autograd.grad(density.sum(), inputs, create_graph=order > 1)
+        tangent = density.new_empty(0)
+        if order > 1:
+            rows = [torch.stack(torch.autograd.grad(part.sum(), inputs, retain_graph=True)) for part in stress]
+            tangent = torch.stack(rows)
+    uu, vv, uv = (part.detach() for part in stress)
+    return density.detach(), (uu, vv, uv), tangent
+
+
+def _entries(tangent: Tensor) -> Tangent:
+    return tangent[0, 0], tangent[1, 1], tangent[2, 2], tangent[0, 1], tangent[0, 2], tangent[1, 2]
