@@ -7,13 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from caphy.conventions import JOINT_NAMES, JOINT_PARENTS
+from caphy.conventions import GRAVITY, JOINT_NAMES, JOINT_PARENTS
 from caphy.io.poses.sequence import PoseSequence
 from caphy.io.poses.skeleton import forward_kinematics
 from caphy.rotations import matrix_from_axis_angle
 
-STANCE_QUANTILE: Final = 0.02
-"""Part of the frames whose lowest sole may be below the ground: noise of the feet, not stance."""
+STANCE_SMOOTHING: Final = 0.06
+"""Width of the Gaussian over which the soles' height is taken [s]: a fraction of a step, more than marker noise."""
+
+FLIGHT_SMOOTHING: Final = 0.04
+"""Width of the Gaussian before the root's acceleration is taken [s]."""
 
 
 def world_joints(sequence: PoseSequence, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -43,11 +46,38 @@ def sole_heights(sequence: PoseSequence, joints: np.ndarray, sole: float) -> np.
 
 
 def on_ground(sequence: PoseSequence, joints: np.ndarray, sole: float) -> PoseSequence:
-    """The motion shifted up or down as a whole, so that it stands on y = 0 with the body of rest ``joints``.
+    """The motion raised or lowered frame by frame, so that the lower sole stands on y = 0 except in flight.
 
-    The lowest sole touches in all but 2 % of the frames; jumps stay jumps. The translation is re-expressed for this
-    body's pelvis, since a translation means nothing without it.
+    Captured skeletons differ from the body in limb lengths and float or sink by some centimetres within each step.
+    The height of the lower sole, smoothed in time, is taken off; across a flight, where the pelvis falls freely,
+    the correction runs straight from take-off to landing, so that jumps keep their height. The translation is
+    re-expressed for this body's pelvis, since a translation means nothing without it.
     """
     here = replace(sequence, transl=sequence.transl + sequence.pelvis - joints[0], pelvis=joints[0])
-    lowest = np.quantile(sole_heights(here, joints, sole).min(axis=1), STANCE_QUANTILE)
-    return replace(here, transl=here.transl - [0.0, float(lowest), 0.0])
+    lowest = sole_heights(here, joints, sole).min(axis=1)
+    stands = np.flatnonzero(~in_flight(here))
+    if len(stands):
+        frames = np.arange(len(here))
+        lowest = smoothed(np.interp(frames, stands, lowest[stands]), STANCE_SMOOTHING * here.fps)
+    else:
+        lowest = np.full(len(here), lowest.min())
+    return replace(here, transl=here.transl - lowest[:, None] * [0.0, 1.0, 0.0])
+
+
+def in_flight(sequence: PoseSequence) -> np.ndarray:
+    """Whether the root falls freely (T,): its acceleration is more than half of gravity downwards."""
+    if len(sequence) < 3:
+        return np.zeros(len(sequence), dtype=bool)
+    height = smoothed(sequence.transl[:, 1], FLIGHT_SMOOTHING * sequence.fps)
+    acceleration = np.gradient(np.gradient(height)) * sequence.fps**2
+    return acceleration < 0.5 * GRAVITY[1]
+
+
+def smoothed(values: np.ndarray, sigma: float) -> np.ndarray:
+    """Values (T,) blurred by a Gaussian of ``sigma`` frames; the ends are mirrored through their end point."""
+    reach = min(int(np.ceil(3 * sigma)), len(values) - 1)
+    if reach < 1:
+        return values
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    before, after = 2 * values[0] - values[reach:0:-1], 2 * values[-1] - values[-2 : -reach - 2 : -1]
+    return np.convolve(np.concatenate([before, values, after]), kernel / kernel.sum(), mode="valid")

@@ -2,41 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from caphy.errors import CaphyError
 from caphy.io.poses.archive import Archive
 from caphy.io.poses.canonical import is_canonical, read_canonical
 from caphy.io.poses.sequence import PoseSequence
+from caphy.io.poses.smplx_npz import read_smplx_npz
+
+SUFFIXES = (".npz", ".bvh", ".amc", ".pt", ".pkl")
 
 
-def read_poses(path: str | Path, *, fps: float | None = None) -> PoseSequence:
+def read_poses(
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    up: Literal["y", "z"] | None = None,
+    person: int | None = None,
+) -> PoseSequence:
     """The motion in a pose file, y up, whatever its format.
 
-    Formats: caphy's own ``.npz``; CMU ``.bvh`` (retargeted to the bundled body). ``fps`` [Hz] is the true frame rate,
-    needed where the file does not say.
+    ``.npz``: caphy's own, AMASS SMPL-H and SMPL-X, plain SMPL-X. ``.bvh`` and ``.amc``: the CMU skeleton, retargeted
+    to the bundled body. ``.pt``: GVHMR. ``.pkl``: WHAM. A folder of ``.npz``: SMPLer-X.
 
-    Raises :class:`CaphyError`, naming file, frame and joint, for anything else.
+    ``fps`` [Hz] is the true frame rate, needed where the file does not say; ``up`` its up axis; ``person`` whom to
+    take of several. What had to be assumed is in the sequence's ``notes``. Raises :class:`CaphyError`, naming file,
+    frame and joint, for anything else.
     """
     path = Path(path)
     if not path.exists():
         raise CaphyError(f"{path}: no such file")
-    readers: dict[str, Callable[[Path, float | None], PoseSequence]] = {".npz": _read_npz, ".bvh": _read_cmu_bvh}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise CaphyError(f"{path}: pose files end in {', '.join(readers)}; got {path.suffix or 'no suffix'}")
-    return reader(path, fps).to_y_up()
+    if fps is not None and not 0 < fps < float("inf"):
+        raise CaphyError(f"{path}: fps must be positive, got {fps}")
+    return _read(path, fps, up, person).to_y_up()
 
 
-def _read_npz(path: Path, fps: float | None) -> PoseSequence:
-    archive = Archive(path)
-    if is_canonical(archive):
-        return read_canonical(archive)
-    raise CaphyError(f"{path}: not a pose file of caphy; it has {', '.join(archive.names)}")
+def _read(path: Path, fps: float | None, up: Literal["y", "z"] | None, person: int | None) -> PoseSequence:
+    """Imports lie here because the CMU readers load the bundled body."""
+    if path.is_dir():
+        from caphy.io.poses.smplerx import read_smplerx
 
+        return read_smplerx(path, fps, person)
+    match path.suffix.lower():
+        case ".npz":
+            archive = Archive(path)
+            return read_canonical(archive) if is_canonical(archive) else read_smplx_npz(archive, fps, up)
+        case ".bvh":
+            from caphy.io.poses.cmu import read_cmu_bvh
 
-def _read_cmu_bvh(path: Path, fps: float | None) -> PoseSequence:
-    from caphy.io.poses.cmu import read_cmu_bvh
+            return read_cmu_bvh(path, fps)
+        case ".amc":
+            from caphy.io.poses.cmu import read_cmu_amc
 
-    return read_cmu_bvh(path, fps)
+            return read_cmu_amc(path, fps)
+        case ".pt":
+            from caphy.io.poses.gvhmr import read_gvhmr
+
+            return read_gvhmr(path, fps)
+        case ".pkl":
+            from caphy.io.poses.wham import read_wham
+
+            return read_wham(path, fps, person)
+    raise CaphyError(f"{path}: pose files end in {', '.join(SUFFIXES)}; got {path.suffix or 'no suffix'}")

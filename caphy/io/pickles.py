@@ -1,0 +1,166 @@
+"""Reading pickled results of pose estimators without running what they ask for.
+
+A pickle is a program. This reader knows the few names that arrays and plain containers need and refuses every other,
+so nothing in a file can call code. joblib's way of storing arrays beside the pickle stream is understood without
+joblib. For offline conversion only: the service accepts no pickles.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import lzma
+import pickle
+import zlib
+from collections import OrderedDict, defaultdict
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from caphy.errors import CaphyError
+
+MAX_BYTES: Final = 4 * 2**30
+"""Largest content read, after decompression."""
+
+_OPENERS: Final = {b"\x1f\x8b": gzip.decompress, b"BZ": bz2.decompress, b"\xfd7": lzma.decompress}
+_KINDS: Final = "biufcSU"
+
+
+class _JoblibArray:
+    """Stand-in for joblib's NumpyArrayWrapper: its state describes raw bytes that follow in the file."""
+
+    subclass: type
+    shape: tuple[int, ...]
+    order: str
+    dtype: np.dtype
+    numpy_array_alignment_bytes: int | None = None
+
+    def read(self, file: io.BytesIO) -> np.ndarray:
+        if not isinstance(self.dtype, np.dtype) or self.dtype.kind not in _KINDS:
+            raise pickle.UnpicklingError(f"arrays of {self.dtype} are not read")
+        if self.numpy_array_alignment_bytes is not None:
+            file.read(file.read(1)[0])
+        count = int(np.prod([int(size) for size in self.shape], dtype=object))
+        data = file.read(count * self.dtype.itemsize) if count >= 0 else b""
+        values = np.frombuffer(data, dtype=self.dtype, count=count)
+        shaped = values.reshape(self.shape[::-1]).T if self.order == "F" else values.reshape(self.shape)
+        return shaped.copy()
+
+
+class _ArrayType:
+    """What ``numpy.ndarray`` means in a pickle here: a name to compare with, which makes nothing."""
+
+
+def _latin1(text: str, encoding: str) -> bytes:
+    """Bytes as old pickle protocols write them."""
+    if encoding != "latin1":
+        raise pickle.UnpicklingError(f"text in {encoding!r} is not read")
+    return text.encode("latin1")
+
+
+def _empty_array(subtype: type, shape: tuple[int, ...], code: bytes | str) -> np.ndarray:
+    if subtype is not _ArrayType or shape != (0,) or code not in (b"b", "b"):
+        raise pickle.UnpicklingError("only plain arrays are read")
+    return np.ndarray((0,), dtype="b")
+
+
+def _dtype(code: str, align: bool = False, copy: bool = True) -> np.dtype:
+    if not isinstance(code, str) or np.dtype(code).kind not in _KINDS:
+        raise pickle.UnpicklingError(f"arrays of {code!r} are not read")
+    return np.dtype(code, align=bool(align), copy=bool(copy))
+
+
+def _scalar(dtype: np.dtype, data: bytes) -> Any:
+    if not isinstance(dtype, np.dtype) or dtype.kind not in _KINDS:
+        raise pickle.UnpicklingError(f"numbers of {dtype} are not read")
+    return np.frombuffer(data, dtype=dtype, count=1)[0]
+
+
+def _from_buffer(data: bytes, dtype: np.dtype, shape: tuple[int, ...], order: str) -> np.ndarray:
+    if not isinstance(dtype, np.dtype) or dtype.kind not in _KINDS:
+        raise pickle.UnpicklingError(f"arrays of {dtype} are not read")
+    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if order == "F" else "C").copy()
+
+
+_ALLOWED: Final[dict[tuple[str, str], Any]] = {
+    ("collections", "OrderedDict"): OrderedDict,
+    ("collections", "defaultdict"): defaultdict,
+    **{("builtins", kind.__name__): kind for kind in (dict, list, tuple, set)},
+    **{("__builtin__", kind.__name__): kind for kind in (dict, list, tuple, set)},
+    ("numpy", "ndarray"): _ArrayType,
+    ("_codecs", "encode"): _latin1,
+    ("numpy", "dtype"): _dtype,
+    **{
+        (f"numpy.{core}.multiarray", name): value
+        for core in ("core", "_core")
+        for name, value in (("_reconstruct", _empty_array), ("scalar", _scalar))
+    },
+    **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
+    ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
+}
+
+
+_PythonUnpickler: Any = vars(pickle)["_Unpickler"]
+
+
+class _Unpickler(_PythonUnpickler):
+    """Python's own unpickler with an allow-list; the one written in Python, because arrays follow in its stream."""
+
+    dispatch: ClassVar = dict(_PythonUnpickler.dispatch)
+
+    def __init__(self, file: io.BytesIO):
+        super().__init__(file)
+        self._file = file
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in _ALLOWED:
+            raise pickle.UnpicklingError(f"{module}.{name} is not on the list of harmless names")
+        return _ALLOWED[module, name]
+
+    def load_build(self) -> None:
+        target, state = self.stack[-2], self.stack[-1]
+        if not isinstance(target, _JoblibArray | np.ndarray | np.dtype):
+            raise pickle.UnpicklingError(f"state for a {type(target).__name__} is not read")
+        if isinstance(target, np.ndarray) and (len(state) != 5 or state[2].kind not in _KINDS):
+            raise pickle.UnpicklingError("arrays of Python objects are not read")
+        if isinstance(target, _JoblibArray):
+            self.stack.pop()
+            vars(target).update({str(key): value for key, value in state.items()})
+            self.stack[-1] = target.read(self._file)
+        else:
+            super().load_build()
+
+    dispatch[pickle.BUILD[0]] = load_build
+
+
+def read_pickle(path: Path) -> Any:
+    """The containers, numbers and arrays in a pickle or joblib file.
+
+    Raises :class:`CaphyError` for a damaged file or one that asks for anything but plain containers and arrays.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CaphyError(f"{path}: is larger than {MAX_BYTES / 2**30:.0f} GiB; split it first")
+        return _Unpickler(io.BytesIO(_decompressed(path.read_bytes()))).load()
+    except pickle.UnpicklingError as error:
+        raise CaphyError(
+            f"{path}: this pickle is not read: {error}. Only plain containers and numeric arrays are; "
+            "convert tensors and objects to arrays where the file was made"
+        ) from error
+    except CaphyError:
+        raise
+    except Exception as error:  # a damaged stream can fail anywhere in the machine that runs it
+        raise CaphyError(f"{path}: cannot be read as a pickle ({type(error).__name__}: {error}); damaged?") from error
+
+
+def _decompressed(data: bytes) -> bytes:
+    if data[:1] == b"\x78":  # zlib, joblib's default compression
+        stream = zlib.decompressobj()
+        content = stream.decompress(data, MAX_BYTES)
+        if stream.unconsumed_tail:
+            raise pickle.UnpicklingError("its content is too large")
+        return content
+    return _OPENERS.get(data[:2], bytes)(data)
