@@ -8,12 +8,12 @@ joblib. For offline conversion only: the service accepts no pickles.
 from __future__ import annotations
 
 import bz2
-import gzip
 import io
 import lzma
 import pickle
 import zlib
 from collections import OrderedDict, defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -24,7 +24,15 @@ from caphy.errors import CaphyError
 MAX_BYTES: Final = 4 * 2**30
 """Largest content read, after decompression."""
 
-_OPENERS: Final = {b"\x1f\x8b": gzip.decompress, b"BZ": bz2.decompress, b"\xfd7": lzma.decompress}
+_OPENERS: Final[dict[bytes, Callable[[], Any]]] = {
+    b"\x78": zlib.decompressobj,
+    b"\x1f\x8b": lambda: zlib.decompressobj(wbits=31),
+    b"BZ": bz2.BZ2Decompressor,
+    b"\xfd7": lzma.LZMADecompressor,
+    b"]\x00": lzma.LZMADecompressor,
+}
+"""Decompressors by the first bytes of zlib, gzip, bzip2, xz and lzma content."""
+
 _KINDS: Final = "biufcSU"
 
 
@@ -157,10 +165,12 @@ def read_pickle(path: Path) -> Any:
 
 
 def _decompressed(data: bytes) -> bytes:
-    if data[:1] == b"\x78":  # zlib, joblib's default compression
-        stream = zlib.decompressobj()
-        content = stream.decompress(data, MAX_BYTES)
-        if stream.unconsumed_tail:
-            raise pickle.UnpicklingError("its content is too large")
-        return content
-    return _OPENERS.get(data[:2], bytes)(data)
+    """The content of ``data``, which joblib may have compressed, or ``data`` itself."""
+    opener = next((opener for magic, opener in _OPENERS.items() if data.startswith(magic)), None)
+    if opener is None:
+        return data
+    stream = opener()
+    content = stream.decompress(data, MAX_BYTES)
+    if not stream.eof:
+        raise pickle.UnpicklingError("its compressed content is cut short or too large")
+    return content

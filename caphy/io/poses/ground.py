@@ -64,6 +64,11 @@ def on_ground(sequence: PoseSequence, joints: np.ndarray, sole: float) -> PoseSe
     return replace(here, transl=here.transl - lowest[:, None] * [0.0, 1.0, 0.0])
 
 
+def placed_on(sequence: PoseSequence, joints: np.ndarray, sole: float) -> PoseSequence:
+    """The motion on another body than the one its translation refers to, on the ground; as it is on its own body."""
+    return sequence if np.allclose(sequence.pelvis, joints[0]) else on_ground(sequence.to_y_up(), joints, sole)
+
+
 def in_flight(sequence: PoseSequence) -> np.ndarray:
     """Whether the root falls freely (T,): its acceleration is more than half of gravity downwards."""
     if len(sequence) < 3:

@@ -1,0 +1,163 @@
+"""``caphy poses info|convert|render``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from caphy.errors import CaphyError
+from caphy.io.poses import PoseSequence, read_poses, write_poses
+
+Files = Annotated[tuple[Path, ...], tyro.conf.Positional]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What pose files do not always say."""
+
+    fps: float | None = None
+    """True frame rate of the files [Hz], where they do not say."""
+    up: Literal["y", "z"] | None = None
+    """Up axis of the files, where they do not say."""
+    person: int | None = None
+    """Whom to take, where a file holds several."""
+
+    def read(self, path: Path) -> PoseSequence:
+        """The motion in ``path``."""
+        return read_poses(path, fps=self.fps, up=self.up, person=self.person)
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what pose files hold, what was assumed about them, and where they jump."""
+
+    files: Files
+    """Pose files of any format caphy reads."""
+    source: tyro.conf.OmitArgPrefixes[Source]
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Write pose files in caphy's own pickle-free format."""
+
+    files: Files
+    """Pose files of any format caphy reads."""
+    source: tyro.conf.OmitArgPrefixes[Source]
+    out: Path = Path(".")
+    """Folder to write NAME.npz into."""
+    resample: float | None = None
+    """Frame rate to resample to [Hz]."""
+    z_up: bool = False
+    """Write with z up instead of y up."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """Picture motions on the bundled body as a contact sheet."""
+
+    files: Files
+    """Pose files of any format caphy reads."""
+    source: tyro.conf.OmitArgPrefixes[Source]
+    out: Path = Path("poses.png")
+    """The PNG to write, one row per file."""
+    frames: int = 8
+    """Frames per row, evenly spaced in time."""
+    size: int = 240
+    """Pixels of one frame."""
+    azimuth: float = 35.0
+    """Direction of the camera [degrees]: 0 looks at the front of a body facing +z, 90 at its left side."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy poses`` with the arguments after it."""
+    command = tyro.cli(
+        tyro.conf.OmitSubcommandPrefixes[
+            Annotated[Info, tyro.conf.subcommand("info")]
+            | Annotated[Convert, tyro.conf.subcommand("convert")]
+            | Annotated[Render, tyro.conf.subcommand("render")]
+        ],
+        args=arguments,
+        prog="caphy poses",
+    )
+    if not command.files:
+        raise CaphyError("name at least one pose file")
+    {Info: _info, Convert: _convert, Render: _render}[type(command)](command)
+
+
+def _info(command: Info) -> None:
+    rows: list[tuple[str, ...]] = [
+        ("file", "frames", "fps", "seconds", "frame", "model", "root m/s", "joint rad/s", "jumps")
+    ]
+    remarks: list[str] = []
+    for path in command.files:
+        sequence = command.source.read(path)
+        jumps = sequence.jumps()
+        rows.append(_row(path, sequence, len(jumps)))
+        remarks += [f"{path.name}: {note}" for note in sequence.notes]
+        remarks += [f"{path.name}: {jump}" for jump in jumps[:3]]
+        if len(jumps) > 3:
+            remarks.append(f"{path.name}: and {len(jumps) - 3} more such jumps")
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for name, *cells in rows:
+        print(name.ljust(widths[0]), *(c.rjust(w) for c, w in zip(cells, widths[1:], strict=True)), sep="  ")
+    if remarks:
+        print("", *remarks, sep="\n")
+
+
+def _row(path: Path, sequence: PoseSequence, jumps: int) -> tuple[str, ...]:
+    """One line of the table; speeds are the median and the highest."""
+    moving = len(sequence) > 1
+    root, joint = sequence.linear_speed(), sequence.angular_speed().max(axis=1)
+    speeds = [f"{np.median(s):.1f}, {s.max():.1f}" if moving else "-" for s in (root, joint)]
+    frame = f"{sequence.frame}, {sequence.up_axis} up"
+    counts = (str(len(sequence)), f"{sequence.fps:g}", f"{sequence.duration:.2f}")
+    return path.name, *counts, frame, sequence.model, *speeds, str(jumps)
+
+
+def _convert(command: Convert) -> None:
+    targets = [command.out / f"{path.stem}.npz" for path in command.files]
+    if len(set(targets)) != len(targets):
+        raise CaphyError("two files have the same name; convert them into different folders with --out")
+    command.out.mkdir(parents=True, exist_ok=True)
+    for path, target in zip(command.files, targets, strict=True):
+        if target.exists() and target.samefile(path):
+            raise CaphyError(f"{path}: would be overwritten by its conversion; choose another folder with --out")
+        sequence = command.source.read(path)
+        sequence = sequence if command.resample is None else sequence.resample(command.resample)
+        write_poses(sequence.to_z_up() if command.z_up else sequence, target)
+        print(f"{target}: {len(sequence)} frames at {sequence.fps:g} fps")
+
+
+def _render(command: Render) -> None:
+    from caphy.report.render import contact_sheet, write_png
+
+    images, labels = [], []
+    for path in command.files:
+        sequence = command.source.read(path)
+        at = np.linspace(0, len(sequence) - 1, command.frames).round().astype(int)
+        images += [_picture(sequence, frame, command) for frame in at]
+        labels += [f"{path.stem[:24]} {frame / sequence.fps:.2f} s" for frame in at]
+    print(write_png(contact_sheet(images, command.frames, labels), command.out))
+
+
+def _picture(sequence: PoseSequence, frame: int, command: Render) -> np.ndarray:
+    """One frame on the bundled body, the camera beside it at the height of the chest."""
+    from caphy.body.bundled import default_body
+    from caphy.io.poses.ground import placed_on
+    from caphy.io.retarget_rest import rest_of
+    from caphy.report.camera import Camera
+    from caphy.report.render import Shape, render
+
+    body = default_body("fine")
+    rest = rest_of(body)
+    placed = placed_on(sequence, rest.joints, rest.sole)
+    (vertices,) = body.pose(placed.poses[frame : frame + 1], placed.transl[frame : frame + 1])
+    middle = np.array([*placed.transl[frame, [0, 2]] + body.joints[0, [0, 2]], 1.0])[[0, 2, 1]]
+    angle = np.radians(command.azimuth)
+    camera = Camera(middle + 5.2 * np.array([np.sin(angle), 0.12, np.cos(angle)]), middle)
+    size = (command.size, command.size)
+    return render([Shape(vertices, body.faces)], camera, size, ground=0.0, shadows=True)
