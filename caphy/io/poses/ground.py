@@ -27,22 +27,28 @@ def world_joints(sequence: PoseSequence, joints: np.ndarray) -> tuple[np.ndarray
     return forward_kinematics(matrix_from_axis_angle(sequence.poses), offsets, parents, root)
 
 
-def sole_heights(sequence: PoseSequence, joints: np.ndarray, sole: float) -> np.ndarray:
-    """Height of the lower end of each sole (T, 2) [m], left and right; y up.
+def sole_points(sequence: PoseSequence, joints: np.ndarray, sole: float) -> np.ndarray:
+    """World positions (T, 6, 3) [m] of the ends of both soles, the left foot's three first.
 
     A sole is three points at the height ``sole`` of the rest pose: under the ankle and under the ball, which move
     with the ankle, and the toe's tip ahead of the ball, which moves with the ball.
     """
     rotations, positions = world_joints(sequence, joints)
-    heights = []
+    points = []
     for side in ("left", "right"):
         ankle, ball = (JOINT_NAMES.index(f"{side}_{name}") for name in ("ankle", "foot"))
-        ahead = joints[ball] - joints[ankle]
-        points = [(ankle, [0, sole - joints[ankle, 1], 0]), (ball, [0, sole - joints[ball, 1], 0])]
-        points.append((ball, [ahead[0] / 2, sole - joints[ball, 1], ahead[2] / 2]))
-        ends = [positions[:, joint, 1] + rotations[:, joint, 1] @ np.array(point) for joint, point in points]
-        heights.append(np.min(ends, axis=0))
-    return np.stack(heights, axis=-1)
+        heel, under = (np.array([0.0, sole - joints[joint, 1], 0.0]) for joint in (ankle, ball))
+        tip = under + (joints[ball] - joints[ankle]) * [0.5, 0.0, 0.5]
+        tread = np.array([*joints[ball, [0, 2]], sole])[[0, 2, 1]] - joints[ankle]
+        points += [
+            positions[:, joint] + rotations[:, joint] @ p for joint, p in ((ankle, heel), (ankle, tread), (ball, tip))
+        ]
+    return np.stack(points, axis=1)
+
+
+def sole_heights(sequence: PoseSequence, joints: np.ndarray, sole: float) -> np.ndarray:
+    """Height of the lowest end of each sole (T, 2) [m], left and right; y up."""
+    return sole_points(sequence, joints, sole)[..., 1].reshape(-1, 2, 3).min(axis=-1)
 
 
 def on_ground(sequence: PoseSequence, joints: np.ndarray, sole: float) -> PoseSequence:
