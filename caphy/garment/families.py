@@ -1,0 +1,197 @@
+"""The six garment families: what a user may ask of each, and how a cut becomes a :class:`Garment`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from caphy.body.model import BodyModel
+from caphy.errors import CaphyError
+from caphy.garment import bottoms, tops
+from caphy.garment.cut import Cut
+from caphy.garment.dressing import dress
+from caphy.garment.landmarks import Landmarks
+from caphy.garment.meshing import contour, cut_sheet
+from caphy.garment.template import Garment
+
+
+@dataclass(frozen=True)
+class Top:
+    """Options shared by tops. Lengths in metres; what is left out is proportioned to the body."""
+
+    sleeve: float | None = None
+    """Sleeve length from the shoulder joint along the arm."""
+    length: float | None = None
+    """Length from the base of the neck down to the hem."""
+    ease: float = 0.025
+    """Gap between the chest and the cloth; the chest girth grows by 2 pi times this (a quarter panel by pi/2)."""
+    sleeve_ease: float = 0.016
+    """Gap round the arm; it collects below the arm, so the cloth hangs there by twice this."""
+    flare: float = 0.06
+    """How much narrower, per metre, the trunk may be than it is above; 0 hangs straight from the chest."""
+    neck_width: float = 0.015
+    """Gap between the neck and the neckline at the sides."""
+    neck_depth: float = 0.02
+    """How far the neckline dips in front of the base of the neck."""
+    edge_length: float = 0.0205
+    """Target edge length of the mesh."""
+    layer_thickness: float = 0.0
+    """Extra distance to keep from the body below the waist, where trousers are worn underneath."""
+
+    family: ClassVar[str] = "top"
+    arm_share: ClassVar[float] = 0.0
+    """Default sleeve as a share of the arm from shoulder to wrist."""
+
+    def cut(self, marks: Landmarks) -> Cut:
+        arm = float(np.linalg.norm(marks.joint("left_wrist") - marks.joint("left_shoulder")))
+        sleeve = self.arm_share * arm if self.sleeve is None else self.sleeve
+        longest = marks.joint("neck")[1] - marks.joint("left_knee")[1]
+        length = marks.joint("neck")[1] - marks.crotch - 0.01 if self.length is None else self.length
+        _between("sleeve", sleeve, 0.0, arm)
+        _between("length", length, marks.joint("neck")[1] - marks.armpit + 0.05, longest)
+        return tops.top(
+            marks,
+            sleeve=sleeve,
+            length=length,
+            ease=self.ease,
+            sleeve_ease=self.sleeve_ease,
+            flare=self.flare,
+            neck_width=self.neck_width,
+            neck_depth=self.neck_depth,
+        )
+
+
+@dataclass(frozen=True)
+class Tshirt(Top):
+    """A T-shirt."""
+
+    family: ClassVar[str] = "tshirt"
+    arm_share: ClassVar[float] = 0.4
+
+
+@dataclass(frozen=True)
+class LongSleeve(Top):
+    """A long-sleeved shirt."""
+
+    family: ClassVar[str] = "longsleeve"
+    arm_share: ClassVar[float] = 0.97
+
+
+@dataclass(frozen=True)
+class Tank(Top):
+    """A tank top: armholes instead of sleeves, a deeper neckline."""
+
+    ease: float = 0.012
+    flare: float = 0.15
+    neck_width: float = 0.035
+    neck_depth: float = 0.07
+
+    family: ClassVar[str] = "tank"
+
+
+@dataclass(frozen=True)
+class Trousers:
+    """Trousers. Lengths in metres; what is left out is proportioned to the body."""
+
+    rise: float | None = None
+    """Height of the waistband above the crotch."""
+    leg: float | None = None
+    """Length from the crotch down to the hem."""
+    ease: float = 0.007
+    """Gap at waist and hips."""
+    leg_ease: float = 0.018
+    """Gap round the leg."""
+    taper: float = 0.08
+    """How much the leg may narrow per metre; 0 falls straight from the thigh."""
+    edge_length: float = 0.022
+    """Target edge length of the mesh."""
+    layer_thickness: float = 0.0025
+    """Extra distance to keep from the body."""
+
+    family: ClassVar[str] = "trousers"
+    leg_share: ClassVar[float] = 0.92
+    """Default leg as a share of the way from crotch to ankle."""
+
+    def cut(self, marks: Landmarks) -> Cut:
+        inseam = float(marks.crotch - marks.joint("left_ankle")[1])
+        leg = self.leg_share * inseam if self.leg is None else self.leg
+        rise = default_rise(marks) if self.rise is None else self.rise
+        _between("leg", leg, 0.06, inseam)
+        _between("rise", rise, 0.10, marks.armpit - marks.crotch - 0.05)
+        return bottoms.trousers(marks, rise=rise, leg=leg, ease=self.ease, leg_ease=self.leg_ease, taper=self.taper)
+
+
+@dataclass(frozen=True)
+class Shorts(Trousers):
+    """Shorts, looser in the leg than trousers."""
+
+    leg_ease: float = 0.028
+    taper: float = 0.0
+    edge_length: float = 0.018
+
+    family: ClassVar[str] = "shorts"
+    leg_share: ClassVar[float] = 0.36
+
+
+@dataclass(frozen=True)
+class Skirt:
+    """A flared skirt. Lengths in metres; what is left out is proportioned to the body."""
+
+    rise: float | None = None
+    """Height of the waistband above the crotch."""
+    length: float | None = None
+    """Length from the waistband down to the hem."""
+    ease: float = 0.007
+    """Gap at waist and hips."""
+    flare: float = 0.2
+    """How much the gap widens per metre below the waist."""
+    edge_length: float = 0.022
+    """Target edge length of the mesh."""
+    layer_thickness: float = 0.0
+    """Extra distance to keep from the body."""
+
+    family: ClassVar[str] = "skirt"
+
+    def cut(self, marks: Landmarks) -> Cut:
+        rise = default_rise(marks) if self.rise is None else self.rise
+        full = marks.crotch + rise - marks.joint("left_ankle")[1]
+        length = 0.55 * full if self.length is None else self.length
+        _between("rise", rise, 0.10, marks.armpit - marks.crotch - 0.05)
+        _between("length", length, rise + 0.05, full)
+        return bottoms.skirt(marks, rise=rise, length=length, ease=self.ease, flare=self.flare)
+
+
+Family = Tshirt | LongSleeve | Tank | Trousers | Shorts | Skirt
+FAMILIES: Mapping[str, type[Family]] = {
+    kind.family: kind for kind in (Tshirt, LongSleeve, Tank, Trousers, Shorts, Skirt)
+}
+
+
+def default_rise(marks: Landmarks) -> float:
+    """Height of a waistband above the crotch that sits just under the natural waist."""
+    return 0.13 * marks.height
+
+
+def _between(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise CaphyError(
+            f"{name} must lie between {low:.3f} and {high:.3f} m on this body, got {value:.3f} m; "
+            "give another value or leave it out for one proportioned to the body"
+        )
+
+
+def make(family: Family, body: BodyModel, betas: np.ndarray | None = None) -> Garment:
+    """Make a garment of ``family`` on ``body`` in shape ``betas`` (S,), T-pose.
+
+    Raises
+        CaphyError: if an option does not fit the body; the message names its range.
+    """
+    _between("edge_length", family.edge_length, 0.006, 0.05)
+    marks = Landmarks.of(body, betas)
+    cut = family.cut(marks)
+    vertices, faces = contour(cut.surface, cut.low, cut.high, min(0.01, 0.45 * family.edge_length))
+    vertices, faces = cut_sheet(vertices, faces, list(cut.openings.values()), family.edge_length)
+    return dress(family, marks, cut, vertices, faces.astype(np.int32))

@@ -1,0 +1,111 @@
+"""From an implicit surface to a clean triangle mesh: contour, cut along smooth curves, remesh, mirror."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from caphy.garment import topology
+
+Field = Callable[[np.ndarray], np.ndarray]
+"""A scalar field: points (N, 3) [m] to values (N,) [m]."""
+
+
+def contour(field: Field, low: np.ndarray, high: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Zero surface of a ``field`` symmetric in x, by marching cubes on a grid of ``step`` [m], lightly blurred.
+
+    ``low`` and ``high`` (3,) [m] bound the half x >= 0; the other half is its mirror image. Faces are wound so that
+    the normal points to where the field is positive.
+    """
+    from scipy.ndimage import gaussian_filter
+    from skimage.measure import marching_cubes
+
+    axes = [np.arange(a, b + step, step) for a, b in zip((0.0, *low[1:]), high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    half = field(grid.reshape(-1, 3)).reshape(grid.shape[:3])
+    values = gaussian_filter(np.concatenate([half[:0:-1], half]), 1.0, mode="nearest")
+    vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3, gradient_direction="descent")
+    return vertices + [-axes[0][-1], low[1], low[2]], faces.astype(np.int64)
+
+
+def insert_curve(vertices: np.ndarray, faces: np.ndarray, field: Field) -> tuple[np.ndarray, np.ndarray]:
+    """Split triangles along the curve where ``field`` is zero; vertices close to it are moved onto it.
+
+    Returns vertices and faces in which no edge crosses the curve.
+    """
+    vertices, value = _snap(vertices, faces, field)
+    edge = topology.edges(faces)
+    edge = edge[value[edge[:, 0]] * value[edge[:, 1]] < 0]
+    share = value[edge[:, 0]] / (value[edge[:, 0]] - value[edge[:, 1]])
+    points = vertices[edge[:, 0]] + share[:, None] * (vertices[edge[:, 1]] - vertices[edge[:, 0]])
+    middle = {tuple(pair): len(vertices) + i for i, pair in enumerate(edge.tolist())}
+    whole, pieces = [], []
+    for face in faces.tolist():
+        cut = [middle.get((min(a, b), max(a, b))) for a, b in zip(face, face[1:] + face[:1], strict=True)]
+        if any(c is not None for c in cut):
+            pieces.extend(_split(face, cut))
+        else:
+            whole.append(face)
+    return np.concatenate([vertices, points]), np.array(whole + pieces)
+
+
+def _snap(vertices: np.ndarray, faces: np.ndarray, field: Field, share: float = 0.25) -> tuple[np.ndarray, np.ndarray]:
+    """Move each vertex that lies within ``share`` of an edge's length of the curve onto it, along that edge."""
+    value = field(vertices)
+    vertices = vertices.copy()
+    edge = topology.edges(faces)
+    edge = edge[value[edge[:, 0]] * value[edge[:, 1]] < 0]
+    for a, b in np.concatenate([edge, edge[:, ::-1]]):
+        if value[a] * value[b] < 0 and abs(value[a]) < share * abs(value[a] - value[b]):
+            vertices[a] += value[a] / (value[a] - value[b]) * (vertices[b] - vertices[a])
+            value[a] = 0.0
+    return vertices, value
+
+
+def _split(face: list[int], cut: list[int | None]) -> list[list[int]]:
+    """Pieces of a triangle whose edges k -> k+1 are cut at ``cut[k]`` (one or two of them)."""
+    polygon = [(v, False) for v in face]
+    ring: list[tuple[int, bool]] = []
+    for corner, new in zip(polygon, cut, strict=True):
+        ring.append(corner)
+        if new is not None:
+            ring.append((new, True))
+    if len(ring) == 4:  # one cut edge: join the cut to the opposite corner
+        k = next(i for i, (_, new) in enumerate(ring) if new)
+        r = [v for v, _ in ring[k:] + ring[:k]]
+        return [[r[0], r[1], r[2]], [r[0], r[2], r[3]]]
+    k = next(i for i in range(5) if ring[i][1] and ring[(i + 2) % 5][1])  # the lone corner is at k + 1
+    r = [v for v, _ in ring[k:] + ring[:k]]
+    return [[r[0], r[1], r[2]], [r[0], r[2], r[3]], [r[0], r[3], r[4]]]
+
+
+def cut_sheet(
+    vertices: np.ndarray, faces: np.ndarray, keep: Sequence[Field], edge_length: float, iterations: int = 12
+) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a surface where every field of ``keep`` is positive, remeshed to ``edge_length`` [m].
+
+    Curves where a field vanishes become smooth boundaries with evenly spaced vertices: the surface is remeshed
+    with the curves as crease lines (Botsch and Kobbelt 2004, in gpytoolbox), then what lies beyond is dropped.
+    """
+    from gpytoolbox import remesh_botsch
+
+    margin = 2.5 * edge_length
+    for field in keep:
+        faces = faces[(field(vertices)[faces] > -margin).any(axis=1)]
+        vertices, faces = drop_unused(vertices, faces)
+        vertices, faces = insert_curve(vertices, faces, field)
+    inside = np.stack([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=1)
+    sides = inside[topology.hinge_faces(faces)]
+    crease = topology.hinges(faces)[(sides[:, 0] != sides[:, 1]).any(axis=1), :2]
+    vertices, faces = remesh_botsch(vertices, faces, iterations, edge_length, True, feature_edges=crease)
+    kept = np.all([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=0)
+    faces = faces[kept]
+    vertices, faces = drop_unused(vertices, faces[topology.components(faces)[0]])
+    return remesh_botsch(vertices, faces, 4, edge_length, True)  # settles the interior behind the new boundary
+
+
+def drop_unused(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same faces over only the vertices that they use."""
+    used, flat = np.unique(faces, return_inverse=True)
+    return vertices[used], flat.reshape(faces.shape)
