@@ -76,7 +76,7 @@ def rest_bodies(phenotypes: dict[str, np.ndarray], topology: str = "notoes") -> 
     model = anny.Anny(topology=topology).to(torch.float64)
     with torch.no_grad():
         coefficients = model.get_phenotype_blendshape_coefficients(
-            **{name: torch.as_tensor(value, dtype=torch.float64) for name, value in phenotypes.items()}
+            **{name: torch.as_tensor(value, dtype=torch.float64) for name, value in phenotypes.items()}  # pyright: ignore
         )
         vertices = model.get_rest_vertices(coefficients)
         heads = model.template_bone_heads + torch.einsum("bk,kjc->bjc", coefficients, model.bone_heads_blendshapes)
@@ -129,9 +129,7 @@ def random_adults(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """anny's descriptions (count,) each of adults of all builds, heights spread as about 1.72 +- 0.1 m."""
     random = np.random.default_rng(seed)
     spread = {"muscle": 0.18, "weight": 0.2, "height": 0.1, "proportions": 0.2}
-    adults = {
-        name: np.clip(random.normal(AVERAGE_ADULT[name], sigma, count), 0, 1) for name, sigma in spread.items()
-    }
+    adults = {name: np.clip(random.normal(AVERAGE_ADULT[name], sigma, count), 0, 1) for name, sigma in spread.items()}
     return adults | {"gender": random.uniform(0, 1, count), "age": random.uniform(2 / 3, 1, count)}
 
 
@@ -146,17 +144,22 @@ def build_bodies() -> dict[str, dict[str, np.ndarray]]:
     template, joints = tpose(mean.vertices[0], mean.joints[0], mean.weights)
     posed = [tpose(v, j, mean.weights) for v, j in zip(adults.vertices, adults.joints, strict=True)]
     shapedirs, joint_shapedirs = _shape_space(np.stack([v for v, _ in posed]), np.stack([j for _, j in posed]))
-    fine = _arrays(template, mean.faces, mean.weights, shapedirs, joints, joint_shapedirs)
+    skeleton = {
+        "J": joints.astype(np.float32),
+        "J_shapedirs": joint_shapedirs.astype(np.float32),
+        "kintree_table": np.stack([np.array(JOINT_PARENTS), np.arange(JOINT_COUNT)]).astype(np.int32),
+        "licence": np.array(LICENCE),
+    }
     centres = dict(zip(JOINT_NAMES, joints, strict=True))
     faces, face, barycentric = coarse_mesh(template, mean.faces, centres)
 
     def carried(values: np.ndarray) -> np.ndarray:
         return np.einsum("uk,uk...->u...", barycentric, values[mean.faces[face]])
 
-    medium = _arrays(
-        carried(template), faces, carried(mean.weights), carried(shapedirs), joints, joint_shapedirs
-    )
-    return {"fine": fine, "medium": medium}
+    return {
+        "fine": _skin(template, mean.faces, mean.weights, shapedirs) | skeleton,
+        "medium": _skin(carried(template), faces, carried(mean.weights), carried(shapedirs)) | skeleton,
+    }
 
 
 def _shape_space(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,22 +178,10 @@ def _shape_space(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, 
     return directions.reshape(*vertices.shape[1:], -1), joint_directions.reshape(*joints.shape[1:], -1)
 
 
-def _arrays(
-    template: np.ndarray,
-    faces: np.ndarray,
-    weights: np.ndarray,
-    shapedirs: np.ndarray,
-    joints: np.ndarray,
-    joint_shapedirs: np.ndarray,
-) -> dict[str, np.ndarray]:
-    weights = strongest(weights)
+def _skin(template: np.ndarray, faces: np.ndarray, weights: np.ndarray, shapedirs: np.ndarray) -> dict[str, np.ndarray]:
     return {
         "v_template": template.astype(np.float32),
         "f": faces.astype(np.int32),
-        "weights": weights.astype(np.float32),
+        "weights": strongest(weights).astype(np.float32),
         "shapedirs": shapedirs.astype(np.float32),
-        "kintree_table": np.stack([np.array(JOINT_PARENTS), np.arange(JOINT_COUNT)]).astype(np.int32),
-        "J": joints.astype(np.float32),
-        "J_shapedirs": joint_shapedirs.astype(np.float32),
-        "licence": np.array(LICENCE),
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -24,7 +24,7 @@ def _levels(parents: tuple[int, ...]) -> tuple[tuple[list[int], list[int]], ...]
         above = joints
 
 
-def joint_transforms(rotations: Array, joints: Array, parents: Sequence[int]) -> Array:
+def joint_transforms(rotations: Array, joints: Array, parents: Iterable[int]) -> Array:
     """Skinning transforms (..., J, 3, 4) that carry rest-pose points to posed ones.
 
     Column 3 is the translation ``t = p - R j`` of world rotation ``R``, rest joint ``j`` and posed joint ``p``. The
@@ -36,11 +36,12 @@ def joint_transforms(rotations: Array, joints: Array, parents: Sequence[int]) ->
         parents: parent of each joint, (J,); the first joint is the only root.
     """
     xp = array_namespace(rotations)
+    tree = tuple(int(parent) for parent in parents)
     world, position = [rotations[..., :1, :, :]], [_expand(xp, joints[..., :1, :], rotations)]
     order = [0]
-    for level, places in _levels(tuple(int(p) for p in parents)):
+    for level, places in _levels(tree):
         parent_rotation = world[-1][..., places, :, :]
-        offset = (joints[..., level, :] - joints[..., [int(parents[j]) for j in level], :])[..., None]
+        offset = (joints[..., level, :] - joints[..., [tree[j] for j in level], :])[..., None]
         position.append(position[-1][..., places, :] + (parent_rotation @ offset)[..., 0])
         world.append(parent_rotation @ rotations[..., level, :, :])
         order += level

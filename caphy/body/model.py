@@ -74,9 +74,12 @@ class BodyModel:
         )
         for name, given, vertex_dirs, joint_dirs in groups:
             if given is not None:
-                count = _coefficient_count(name, given, vertex_dirs.shape[2])
-                vertices = vertices + vertex_dirs[..., :count] @ np.asarray(given, dtype=np.float64)
-                joints = joints + joint_dirs[..., :count] @ np.asarray(given, dtype=np.float64)
+                coefficients = np.asarray(given, dtype=np.float64)
+                if coefficients.ndim != 1:
+                    raise CaphyError(f"{name} must be one vector of coefficients, got shape {coefficients.shape}")
+                count = _coefficient_count(name, coefficients, vertex_dirs.shape[2])
+                vertices = vertices + vertex_dirs[..., :count] @ coefficients
+                joints = joints + joint_dirs[..., :count] @ coefficients
         return vertices, joints
 
     def transforms(self, poses: np.ndarray, betas: np.ndarray | None = None) -> np.ndarray:
@@ -145,7 +148,7 @@ class BodyModel:
 
 
 def _coefficient_count(name: str, given: np.ndarray, available: int) -> int:
-    count = np.shape(given)[-1] if np.ndim(given) else 0
+    count = np.shape(given)[-1]
     if not 0 < count <= available:
         raise CaphyError(f"{name}: this body takes 1 to {available} coefficients, got shape {np.shape(given)}")
     return count
@@ -164,15 +167,15 @@ def _read(path: Path) -> BodyModel:
     count = len(v_template)
     weights = arrays.get("weights", (count, JOINT_COUNT))
     shapes, expressions = _split_shapedirs(arrays.get("shapedirs", (count, 3, None)))
-    if "J_regressor" in arrays:
+    if "J" in arrays:  # the bundled body: joints of the true skeleton, which no linear map of the surface gives exactly
+        joints = arrays.get("J", (JOINT_COUNT, 3))
+        joint_shapes = arrays.get("J_shapedirs", (JOINT_COUNT, 3, shapes.shape[2]))
+        joint_expressions = np.zeros((JOINT_COUNT, 3, expressions.shape[2]))
+    else:
         regressor = arrays.get("J_regressor", (JOINT_COUNT, count))
         joints = regressor @ v_template
         joint_shapes = np.einsum("jv,vcs->jcs", regressor, shapes)
         joint_expressions = np.einsum("jv,vcs->jcs", regressor, expressions)
-    else:  # the bundled body: joints of the true skeleton, which no linear map of the surface gives exactly
-        joints = arrays.get("J", (JOINT_COUNT, 3))
-        joint_shapes = arrays.get("J_shapedirs", (JOINT_COUNT, 3, shapes.shape[2]))
-        joint_expressions = np.zeros((JOINT_COUNT, 3, expressions.shape[2]))
     has_hands = "hands_componentsl" in arrays
     return BodyModel(
         v_template=v_template,
@@ -194,7 +197,7 @@ class _Arrays:
     """The float64 arrays of an npz, checked one by one; errors name the file and the key."""
 
     def __init__(self, path: Path):
-        self._path = path
+        self.path = path
         try:
             self._file = np.load(path, allow_pickle=False)
             self._names = set(self._file.files)
@@ -210,31 +213,33 @@ class _Arrays:
         """The array ``key`` whose shape must match, ``None`` meaning any size."""
         if key not in self._names:
             raise CaphyError(
-                f"{self._path}: key {key!r} is missing; an SMPL-X-format body has v_template, f, weights, "
+                f"{self.path}: key {key!r} is missing; an SMPL-X-format body has v_template, f, weights, "
                 f"kintree_table, shapedirs and J_regressor. This file has: {', '.join(sorted(self._names))}"
             )
         try:
             array = np.asarray(self._file[key], dtype=np.float64)
         except ValueError:
             raise CaphyError(
-                f"{self._path}: key {key!r} is not a plain numeric array (pickled objects are not read); "
+                f"{self.path}: key {key!r} is not a plain numeric array (pickled objects are not read); "
                 "save it as a dense array"
             ) from None
-        matches = len(array.shape) == len(shape) and all(w in (None, n) for w, n in zip(shape, array.shape, strict=True))
+        matches = len(array.shape) == len(shape) and all(
+            w in (None, n) for w, n in zip(shape, array.shape, strict=True)
+        )
         if not matches:
             wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
             raise CaphyError(
-                f"{self._path}: key {key!r} must have shape {wanted}, got {array.shape}; is this an SMPL-X file "
+                f"{self.path}: key {key!r} must have shape {wanted}, got {array.shape}; is this an SMPL-X file "
                 f"({JOINT_COUNT} joints), not SMPL or SMPL-H?"
             )
         if not np.isfinite(array).all():
-            raise CaphyError(f"{self._path}: key {key!r} contains NaN or infinity")
+            raise CaphyError(f"{self.path}: key {key!r} contains NaN or infinity")
         return array
 
 
 def _split_shapedirs(shapedirs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shape and expression parts: 300 + 100, or 10 + 10 in old files; fewer than 11 are all shape."""
-    shape_count = 300 if shapedirs.shape[2] >= 300 else 10
+    """Shape and expression parts: 300 + 100, or 10 + 10 in old files; up to 10 are all shape."""
+    shape_count = 300 if shapedirs.shape[2] >= 400 else 10
     return shapedirs[..., :shape_count], shapedirs[..., shape_count:]
 
 
@@ -242,7 +247,8 @@ def _read_faces(arrays: _Arrays, vertex_count: int) -> np.ndarray:
     faces = arrays.get("f", (None, 3))
     if faces.size and (faces.min() < 0 or faces.max() >= vertex_count):
         raise CaphyError(
-            f"{arrays._path}: key 'f' must index vertices 0 to {vertex_count - 1}, got {faces.min():.0f} to {faces.max():.0f}"
+            f"{arrays.path}: key 'f' must index vertices 0 to {vertex_count - 1}, "
+            f"got {faces.min():.0f} to {faces.max():.0f}"
         )
     return faces.astype(np.int32)
 
@@ -253,7 +259,7 @@ def _read_parents(arrays: _Arrays) -> np.ndarray:
     if not np.array_equal(parents, JOINT_PARENTS):
         first = int(np.flatnonzero(parents != np.asarray(JOINT_PARENTS))[0])
         raise CaphyError(
-            f"{arrays._path}: key 'kintree_table' is not SMPL-X's joint tree: joint {first} must hang on "
+            f"{arrays.path}: key 'kintree_table' is not SMPL-X's joint tree: joint {first} must hang on "
             f"{JOINT_PARENTS[first]}, got {parents[first]}"
         )
     return parents

@@ -66,7 +66,7 @@ class Surface:
             raise CaphyError(f"a surface needs triangles (F, 3), got shape {faces.shape}")
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise CaphyError(f"faces must index {len(vertices)} vertices, got {faces.min()} to {faces.max()}")
-        leaves = 1 << max(int(len(faces)) // _LEAF_FACES, 1).bit_length() - 1
+        leaves = 1 << max(len(faces) // _LEAF_FACES, 1).bit_length() - 1
         order, bounds = build_order(np.asarray(vertices, dtype=np.float64)[faces].mean(axis=1), leaves)
         corners = np.argsort(faces.ravel(), kind="stable")
         starts = np.searchsorted(faces.ravel()[corners], np.arange(len(vertices) + 1))

@@ -1,3 +1,4 @@
+# ruff: noqa: PLR0917  (compiled functions take plain arrays, not objects)
 """Compiled kernels: a bounding-volume tree over triangles, refitted to moving vertices, and exact nearest points.
 
 The tree is a complete binary heap (node k has children 2k and 2k + 1, the root is 1), split once at the median of the
@@ -60,7 +61,10 @@ def _box_square(x, y, z, low, high, node):
 
 @njit(cache=True)
 def _closest_on_triangle(px, py, pz, vertices, i, j, k):
-    """Squared distance and barycentric weights of the point of triangle (i, j, k) nearest to p."""
+    """Squared distance and barycentric weights of the point of triangle (i, j, k) nearest to p.
+
+    Weights are exactly zero where the point lies on an edge or a corner: the pseudonormal depends on it.
+    """
     ax, ay, az = vertices[i, 0], vertices[i, 1], vertices[i, 2]
     abx, aby, abz = vertices[j, 0] - ax, vertices[j, 1] - ay, vertices[j, 2] - az
     acx, acy, acz = vertices[k, 0] - ax, vertices[k, 1] - ay, vertices[k, 2] - az
@@ -72,32 +76,35 @@ def _closest_on_triangle(px, py, pz, vertices, i, j, k):
     d5, d6 = abx * cpx + aby * cpy + abz * cpz, acx * cpx + acy * cpy + acz * cpz
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     if d1 <= 0 and d2 <= 0:
-        v, w = 0.0, 0.0
+        u, v, w = 1.0, 0.0, 0.0
     elif d3 >= 0 and d4 <= d3:
-        v, w = 1.0, 0.0
+        u, v, w = 0.0, 1.0, 0.0
     elif vc <= 0 and d1 >= 0 and d3 <= 0:
         v, w = d1 / (d1 - d3), 0.0
+        u = 1 - v
     elif d6 >= 0 and d5 <= d6:
-        v, w = 0.0, 1.0
+        u, v, w = 0.0, 0.0, 1.0
     elif vb <= 0 and d2 >= 0 and d6 <= 0:
         v, w = 0.0, d2 / (d2 - d6)
+        u = 1 - w
     elif va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v = 1 - w
+        u, v = 0.0, 1 - w
     else:
         v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+        u = max(1 - v - w, 0.0)
     rx, ry, rz = apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz
-    return rx * rx + ry * ry + rz * rz, v, w
+    return rx * rx + ry * ry + rz * rz, u, v, w
 
 
 @njit(cache=True)
 def _nearest_face(x, y, z, vertices, faces, order, bounds, low, high, guess, stack, reached):
-    """Nearest face and its squared distance and weights; ``guess`` (a face, or -1) bounds the search from the start."""
+    """Nearest face and the weights of the point on it; ``guess`` (a face, or -1) bounds the search from the start."""
     leaves = len(bounds) - 1
-    best, face, v, w = np.inf, -1, 0.0, 0.0
+    best, face, u, v, w = np.inf, -1, 0.0, 0.0, 0.0
     if guess >= 0:
         face = guess
-        best, v, w = _closest_on_triangle(x, y, z, vertices, faces[face, 0], faces[face, 1], faces[face, 2])
+        best, u, v, w = _closest_on_triangle(x, y, z, vertices, faces[face, 0], faces[face, 1], faces[face, 2])
     top = 1
     stack[0], reached[0] = 1, 0.0
     while top > 0:
@@ -108,9 +115,9 @@ def _nearest_face(x, y, z, vertices, faces, order, bounds, low, high, guess, sta
         if node >= leaves:
             for place in range(bounds[node - leaves], bounds[node - leaves + 1]):
                 f = order[place]
-                square, fv, fw = _closest_on_triangle(x, y, z, vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+                square, fu, fv, fw = _closest_on_triangle(x, y, z, vertices, faces[f, 0], faces[f, 1], faces[f, 2])
                 if square < best:
-                    best, face, v, w = square, f, fv, fw
+                    best, face, u, v, w = square, f, fu, fv, fw
             continue
         near, far = 2 * node, 2 * node + 1
         near_square = _box_square(x, y, z, low, high, near)
@@ -123,7 +130,7 @@ def _nearest_face(x, y, z, vertices, faces, order, bounds, low, high, guess, sta
         if near_square < best:
             stack[top], reached[top] = near, near_square
             top += 1
-    return face, v, w
+    return face, u, v, w
 
 
 @njit(cache=True)
@@ -170,9 +177,9 @@ def query(points, vertices, faces, order, bounds, low, high, neighbours, starts,
     offset = np.empty(3)
     for n in range(count):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        f, v, w = _nearest_face(x, y, z, vertices, faces, order, bounds, low, high, guess[n], stack, reached)
+        f, u, v, w = _nearest_face(x, y, z, vertices, faces, order, bounds, low, high, guess[n], stack, reached)
         nearest[n] = f
-        weights[n, 0], weights[n, 1], weights[n, 2] = max(1 - v - w, 0.0), v, w
+        weights[n, 0], weights[n, 1], weights[n, 2] = u, v, w
         _pseudonormal(vertices, faces, neighbours, starts, incident, f, weights[n], normals[n])
         square, dot, length = 0.0, 0.0, 0.0
         for axis in range(3):

@@ -25,6 +25,7 @@ class Camera:
         points: np.ndarray,
         azimuth: float = 0.0,
         elevation: float = 5.0,
+        *,
         aspect: float = 1.0,
         field_of_view: float = 25.0,
         margin: float = 1.06,
@@ -32,7 +33,7 @@ class Camera:
         """A camera that just holds ``points`` (N, 3).
 
         Args:
-            azimuth: direction of the eye [degrees]: 0 in front of a body that faces +z, 90 on its left (+x), 180 behind.
+            azimuth: direction of the eye [degrees]: 0 in front of a body facing +z, 90 on its left (+x), 180 behind.
             elevation: height of the eye above the horizon [degrees].
             aspect: width over height of the picture.
             margin: how much larger than the points the view is.

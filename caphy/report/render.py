@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,9 @@ CLOTH = ((0.33, 0.52, 0.75), (0.30, 0.33, 0.42), (0.78, 0.45, 0.35), (0.45, 0.62
 """Colours [sRGB, 0 to 1] for the body and for up to four garments."""
 
 _AMBIENT, _SHADOW = 0.35, 0.45
-_LIGHT = np.array([-0.45, 0.75, -0.75])  # direction towards the light as right, up, forward of the camera: over the shoulder
+_LIGHT = np.array(
+    [-0.45, 0.75, -0.75]
+)  # direction towards the light as right, up, forward of the camera: over the shoulder
 _SAMPLES = 2  # rays per pixel and axis
 
 
@@ -111,12 +114,11 @@ class _Scene:
 
 def _embree_scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
     try:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
+        scene = import_module("embreex.rtcore_scene").EmbreeScene()
+        mesh = import_module("embreex.mesh_construction").TriangleMesh
     except ModuleNotFoundError:
         raise CaphyError("pictures need the embreex package; install it with: pip install 'caphy[render]'") from None
-    scene = rtcore_scene.EmbreeScene()
-    TriangleMesh(scene, vertices.astype(np.float32), faces.astype(np.int32))
+    mesh(scene, vertices.astype(np.float32), faces.astype(np.int32))
     return scene
 
 
@@ -125,10 +127,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     face_normals = np.cross(b - a, c - a)
     normals = np.stack(
-        [
-            sum(np.bincount(faces[:, i], face_normals[:, axis], len(vertices)) for i in range(3))
-            for axis in range(3)
-        ],
+        [sum(np.bincount(faces[:, i], face_normals[:, axis], len(vertices)) for i in range(3)) for axis in range(3)],
         axis=-1,
     )
     return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-30)

@@ -1,0 +1,167 @@
+"""Nearest points and signed distance against exhaustive search, the winding number and finite differences."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from caphy.body.bundled import default_body
+from caphy.body.surface import Surface, nearest_on_faces, nearest_on_surface
+from caphy.errors import CaphyError
+
+
+def winding_number(points, vertices, faces):
+    """1 inside, 0 outside: solid angles of all triangles (Van Oosterom and Strackee 1983)."""
+    corners = vertices[faces][None] - points[:, None, None]
+    lengths = np.linalg.norm(corners, axis=-1)
+    a, b, c = corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
+    la, lb, lc = lengths[..., 0], lengths[..., 1], lengths[..., 2]
+    determinant = np.sum(a * np.cross(b, c), axis=-1)
+    dots = [np.sum(x * y, axis=-1) for x, y in ((a, b), (b, c), (c, a))]
+    return np.arctan2(determinant, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb).sum(axis=1) / (2 * np.pi)
+
+
+def body_and_points(count=400, spread=0.03):
+    body = default_body()
+    random = np.random.default_rng(0)
+    poses = random.normal(size=(1, 55, 3)) * 0.15
+    vertices = body.pose(poses)[0]
+    chosen = vertices[random.integers(0, len(vertices), count)]
+    return vertices, body.faces, chosen + random.normal(size=(count, 3)) * spread
+
+
+CUBE = trimesh.creation.box((2, 2, 2))
+SPIKE = trimesh.Trimesh(
+    [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 4]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+)
+
+
+@pytest.mark.parametrize("spread", [0.005, 0.05, 0.5])
+def test_body_against_exhaustive_search(spread):
+    vertices, faces, points = body_and_points(spread=spread)
+    found = nearest_on_surface(points, vertices, faces)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    _, distance, _ = trimesh.proximity.closest_point_naive(mesh, points)
+    np.testing.assert_allclose(np.abs(found.distance), distance, atol=1e-12)
+    corners = vertices[faces[found.face]]
+    np.testing.assert_allclose(np.einsum("nk,nkc->nc", found.barycentric, corners), found.point, atol=1e-14)
+    np.testing.assert_allclose(found.point + found.distance[:, None] * found.normal, points, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1, atol=1e-12)
+    assert found.barycentric.min() >= 0
+
+
+def test_sign_of_the_resting_body_is_its_winding_number():
+    body = default_body()
+    random = np.random.default_rng(1)
+    points = body.v_template[random.integers(0, len(body.v_template), 400)] + random.normal(size=(400, 3)) * 0.02
+    inside = winding_number(points, body.v_template, body.faces) > 0.5
+    np.testing.assert_array_equal(nearest_on_surface(points, body.v_template, body.faces).distance < 0, inside)
+    assert 100 < inside.sum() < 300
+
+
+@pytest.mark.parametrize("mesh", [CUBE, SPIKE], ids=["cube", "spike"])
+def test_signs_beside_sharp_edges_and_corners(mesh):
+    random = np.random.default_rng(2)
+    corners = np.repeat(mesh.vertices, 200, axis=0)
+    points = corners + random.normal(size=corners.shape) * 0.05
+    inside = winding_number(points, mesh.vertices, mesh.faces) > 0.5
+    np.testing.assert_array_equal(nearest_on_surface(points, mesh.vertices, mesh.faces).distance < 0, inside)
+
+
+def test_cube_closed_form():
+    points = np.array(
+        [[0, 0, 3], [3, 3, 0], [2, 2, 2], [0.5, 0, 0.9], [1, 0.2, 0.1], [1, 1, 0], [1, 1, 1]], dtype=float
+    )
+    found = nearest_on_surface(points, CUBE.vertices, CUBE.faces)
+    s = np.sqrt(0.5)
+    np.testing.assert_allclose(found.distance, [2, 2 * np.sqrt(2), np.sqrt(3), -0.1, 0, 0, 0], atol=1e-12)
+    normals = [[0, 0, 1], [s, s, 0], [3**-0.5] * 3, [0, 0, 1], [1, 0, 0], [s, s, 0], [3**-0.5] * 3]
+    np.testing.assert_allclose(found.normal, normals, atol=1e-12)
+
+
+def test_normal_is_the_gradient_of_the_distance():
+    vertices, faces, points = body_and_points(spread=0.02)
+    surface = Surface.of(faces, vertices)
+    found = surface.nearest(points, vertices)
+    step = 1e-7
+    gradient = np.stack(
+        [
+            (surface.nearest(points + d, vertices).distance - surface.nearest(points - d, vertices).distance)
+            / (2 * step)
+            for d in step * np.eye(3)
+        ],
+        axis=-1,
+    )
+    error = np.linalg.norm(gradient - found.normal, axis=1)
+    assert np.mean(error < 1e-6) > 0.99  # a few points lie on the medial axis, where there is no gradient
+
+
+def test_a_surface_follows_its_vertices_and_guesses_change_nothing():
+    vertices, faces, points = body_and_points()
+    surface = Surface.of(faces, default_body().v_template)  # grouped in another pose
+    expected = nearest_on_surface(points, vertices, faces)
+    for guess in (None, expected.face, np.zeros(len(points), dtype=int)):
+        np.testing.assert_allclose(surface.nearest(points, vertices, guess).distance, expected.distance, atol=1e-14)
+
+
+def test_degenerate_triangles_do_no_harm():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [1, 0, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 1, 3], [1, 4, 1]])
+    found = nearest_on_surface(np.array([[1.5, -1.0, 0.0], [0.2, 0.2, 0.5], [1.5, 0, 0]]), vertices, faces)
+    np.testing.assert_allclose(np.abs(found.distance), [1, 0.5, 0], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: nearest_on_surface(np.full((1, 3), np.nan), CUBE.vertices, CUBE.faces), "finite"),
+        (lambda: nearest_on_surface(np.zeros((1, 3)), CUBE.vertices, CUBE.faces + 1), "must index 8 vertices"),
+        (lambda: nearest_on_surface(np.zeros((1, 3)), CUBE.vertices, np.zeros((0, 3))), "needs triangles"),
+        (lambda: nearest_on_surface(np.zeros((1, 3)), CUBE.vertices, np.zeros((2, 4))), "needs triangles"),
+    ],
+)
+def test_wrong_input_is_refused(call, message):
+    with pytest.raises(CaphyError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("make", [np.asarray, torch.as_tensor], ids=["numpy", "torch"])
+def test_given_faces_give_the_same_points(make):
+    vertices, faces, points = body_and_points(spread=0.01)
+    exact = nearest_on_surface(points, vertices, faces)
+    found = nearest_on_faces(make(points), make(vertices), make(faces.astype(np.int64)), make(exact.face))
+    np.testing.assert_allclose(found.point, exact.point, atol=1e-12)
+    np.testing.assert_allclose(found.barycentric, exact.barycentric, atol=1e-9)
+    agree = np.sign(np.asarray(found.distance)) == np.sign(exact.distance)
+    assert agree.mean() > 0.99
+    np.testing.assert_allclose(np.asarray(found.distance)[agree], exact.distance[agree], atol=1e-12)
+    np.testing.assert_allclose(np.asarray(found.normal)[agree], exact.normal[agree], atol=1e-6)
+
+
+def test_given_faces_batch_over_frames():
+    vertices, faces, points = body_and_points(50)
+    moved, turned = vertices + 0.1, points + 0.1
+    face = nearest_on_surface(points, vertices, faces).face
+    alone = nearest_on_faces(points, vertices, faces, face)
+    for index in (face, np.stack([face, face])):
+        both = nearest_on_faces(np.stack([points, turned]), np.stack([vertices, moved]), faces, index)
+        for t in range(2):
+            np.testing.assert_allclose(both.distance[t], alone.distance, atol=1e-12)
+            np.testing.assert_allclose(both.barycentric[t], alone.barycentric, atol=1e-9)
+
+
+def test_given_faces_are_differentiable():
+    vertices, faces, points = body_and_points(20)
+    exact = nearest_on_surface(points, vertices, faces)
+    points = torch.as_tensor(points).requires_grad_()
+    found = nearest_on_faces(
+        points, torch.as_tensor(vertices), torch.as_tensor(faces.astype(np.int64)), torch.as_tensor(exact.face)
+    )
+    (gradient,) = torch.autograd.grad(found.distance.sum(), points)
+    np.testing.assert_allclose(gradient, found.normal.detach(), atol=1e-9)
+    on_it = torch.as_tensor(exact.point).requires_grad_()
+    touching = nearest_on_faces(
+        on_it, torch.as_tensor(vertices), torch.as_tensor(faces.astype(np.int64)), torch.as_tensor(exact.face)
+    )
+    (gradient,) = torch.autograd.grad(touching.distance.sum(), on_it)
+    assert torch.isfinite(gradient).all()
