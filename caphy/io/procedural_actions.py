@@ -2,12 +2,12 @@
 
 Angles are a, b, c of R = Rx(a) Ry(b) Rz(c) [degrees] by joint. Positive a bends the knee, leans the trunk forward and
 points the toes down; negative a lifts a thigh or an arm forward. Gait angles follow Winter, "Biomechanics and Motor
-Control of Human Movement" (2009), in three harmonics' worth of detail.
+Control of Human Movement" (2009).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -19,14 +19,13 @@ Angles = dict[str, list[np.ndarray]]
 FREE_FALL: Final = -GRAVITY[1]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Action:
     """An action over T frames: angles [degrees], rate of heading [rad/s] and lift above the ground [m], each (T,)."""
 
     angles: Angles
     turning: np.ndarray | float = 0.0
     lift: np.ndarray | float = 0.0
-    seconds: float = field(default=0.0, kw_only=True)
 
 
 def stand(time: np.ndarray) -> Angles:
