@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from torch import Tensor
 
@@ -36,11 +38,11 @@ class Bending(Effect):
         return {**rest, "weft": scale * square[:, 1], "warp": scale * square[:, 0]}
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        return _stiffness(e, p) * (dihedral(e.x) - e.rest["angle"]) ** 2
+        return bending_stiffness(e.rest, p) * (dihedral(e.x) - e.rest["angle"]) ** 2
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        moment, turn = _stiffness(e, p), angle - e.rest["angle"]
+        moment, turn = bending_stiffness(e.rest, p), angle - e.rest["angle"]
         moment = moment * turn
         return moment * turn, 2 * moment * slope
 
@@ -50,9 +52,9 @@ class Bending(Effect):
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         """Gauss-Newton: the curvature of the angle itself is left out."""
         _, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        return outer(2 * _stiffness(e, p) * slope, slope)
+        return outer(2 * bending_stiffness(e.rest, p) * slope, slope)
 
 
-def _stiffness(e: Elements, p: Values) -> Tensor:
+def bending_stiffness(rest: Mapping[str, Tensor], p: Values) -> Tensor:
     """Energy per squared angle (n,) [J]."""
-    return p["stiffness_weft"] * e.rest["weft"] + p["stiffness_warp"] * e.rest["warp"]
+    return p["stiffness_weft"] * rest["weft"] + p["stiffness_warp"] * rest["warp"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,10 +12,7 @@ from caphy.effects.base import Effect, Elements, Parameter, Values, gradient_jac
 from caphy.effects.cloth import Cloth
 from caphy.effects.hinge import dihedral, dihedral_gradient, hinge_rest
 from caphy.effects.vectors import outer
-from caphy.material.fabrics import fabric
-
-CURVATURES = 5.0
-"""Spacing [1/m] of the tabulated curvatures 0, 5, 10, 15, 20."""
+from caphy.material.fabrics import BEND_SPACING, fabric
 
 
 class BendingMeasured(Effect):
@@ -49,14 +48,14 @@ class BendingMeasured(Effect):
 
     def energy(self, e: Elements, p: Values) -> Tensor:
         column = _column(e, dihedral(e.x) - e.rest["angle"])
-        return CURVATURES**2 * e.rest["area"] * _moments(column, _nodes(e, p))[0]
+        return BEND_SPACING**2 * e.rest["area"] * _moments(column, stiffness_nodes(e.rest, p))[0]
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
         turn = angle - e.rest["angle"]
-        energy, stiffness, _ = _moments(_column(e, turn), _nodes(e, p))
+        energy, stiffness, _ = _moments(_column(e, turn), stiffness_nodes(e.rest, p))
         moment = stiffness * e.rest["length"] ** 2 / (4 * e.rest["area"]) * turn
-        return CURVATURES**2 * e.rest["area"] * energy, moment * slope
+        return BEND_SPACING**2 * e.rest["area"] * energy, moment * slope
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
         return gradient_jacobian(self, e, p)
@@ -64,19 +63,19 @@ class BendingMeasured(Effect):
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         """Gauss-Newton: the curvature of the angle is left out, and no moment falls as the angle grows."""
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        _, _, tangent = _moments(_column(e, angle - e.rest["angle"]), _nodes(e, p))
+        _, _, tangent = _moments(_column(e, angle - e.rest["angle"]), stiffness_nodes(e.rest, p))
         return outer(tangent.clamp_min(0) * e.rest["length"] ** 2 / (4 * e.rest["area"]) * slope, slope)
 
 
 def _column(e: Elements, turn: Tensor) -> Tensor:
     """Place (..., n) among the tabulated curvatures, in columns."""
-    return turn.abs() * (e.rest["length"] / (2 * CURVATURES * e.rest["area"]))
+    return turn.abs() * (e.rest["length"] / (2 * BEND_SPACING * e.rest["area"]))
 
 
-def _nodes(e: Elements, p: Values) -> Tensor:
+def stiffness_nodes(rest: Mapping[str, Tensor], p: Values) -> Tensor:
     """Stiffness of each hinge at the five tabulated curvatures (5, n) [N m]."""
     table = p["bending"].T
-    return torch.minimum(table @ e.rest["first"], table @ e.rest["second"]).clamp_min(0)
+    return torch.minimum(table @ rest["first"], table @ rest["second"]).clamp_min(0)
 
 
 def _moments(column: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor, Tensor]:

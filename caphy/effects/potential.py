@@ -10,6 +10,7 @@ from torch import Tensor
 
 from caphy.effects.base import BodyState, Effect, Elements, Step, Values
 from caphy.effects.cloth import Cloth
+from caphy.effects.compiled import KERNELS, Bound, accumulate
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 
@@ -108,10 +109,14 @@ class Potential:
 
     def acting(self, x: Tensor, step: Step | None, body: BodyState | None) -> Iterator[tuple[str, Term, Elements]]:
         """The terms that act in this situation with their elements."""
+        for name, term in self._present(step, body):
+            yield name, term, self.elements(term, x, step, body)
+
+    def _present(self, step: Step | None, body: BodyState | None) -> Iterator[tuple[str, Term]]:
         for name, term in self.terms.items():
             if (step is None and term.effect.needs_step) or (body is None and term.effect.needs_body):
                 continue
-            yield name, term, self.elements(term, x, step, body)
+            yield name, term
 
     def energies(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> dict[str, Tensor]:
         """Energy of each effect [J], name -> (...,)."""
@@ -122,13 +127,28 @@ class Potential:
 
     def gradient(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> tuple[Tensor, Tensor]:
         """Total energy (...,) [J] and its gradient (..., V, 3) [N], history and body held fixed."""
-        energy = x.new_zeros(x.shape[:-2])
-        gradient = torch.zeros_like(planes(x))
-        for _, term, elements in self.acting(x, step, body):
+        self._check(x)
+        x = x.detach().contiguous()
+        energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
+        for _, term in self._present(step, body):
+            kernel = KERNELS.get(type(term.effect)) if x.device.type == "cpu" else None
+            if kernel is not None:
+                accumulate(kernel(Bound(term.index, term.rest, term.values, step, body)), x, energy, gradient)
+                continue
+            elements = self.elements(term, x, step, body)
             values, forces = term.effect.gradient(elements, term.values)
-            energy = energy + values.sum(-1)
-            gradient += term.scatter(forces)
-        return energy, gradient.movedim(0, -1)
+            energy += values.sum(-1)
+            gradient += term.scatter(forces).movedim(0, -1)
+        return energy, gradient
+
+    def _check(self, x: Tensor) -> None:
+        """Raises ValueError on positions of another cloth, precision or device."""
+        shape = (len(self.cloth.vertices), 3)
+        if x.shape[-2:] != shape or x.dtype != self.dtype or x.device.type != self.device.type:
+            raise ValueError(
+                f"positions must be (..., {shape[0]}, 3) {self.dtype} on {self.device.type}, "
+                f"got {tuple(x.shape)} {x.dtype} on {x.device.type}"
+            )
 
     def loss(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> Tensor:
         """Total energy (...,) [J], differentiable in ``x`` (only), through the effects' own gradients.
@@ -141,7 +161,7 @@ class Potential:
 class _Loss(torch.autograd.Function):
     @staticmethod
     def forward(ctx, x: Tensor, potential: Potential, step: Step | None, body: BodyState | None) -> Tensor:
-        energy, gradient = potential.gradient(x.detach(), step, body)
+        energy, gradient = potential.gradient(x, step, body)
         ctx.save_for_backward(gradient)
         return energy
 

@@ -100,13 +100,18 @@ def _stiffness(strain: Symmetric, table: Tensor) -> list[Tensor]:
     radius = torch.sqrt(half * half + uv * uv + SMOOTHING**2)
     largest = _positive(0.5 * (uu + vv) + radius - SMOOTHING)
     cosine = half / radius
-    directed = _POLYNOMIAL.to(table) @ table[1:]
+    directed = direction_polynomial(table)
     stiffness = []
     for column in range(4):
         c0, c1, c2, c3, c4 = directed[:, column]
         sampled = c0 + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4)))
         stiffness.append(LOADED_TWICE * _mean_clamped(table[0, column], sampled, largest))
     return stiffness
+
+
+def direction_polynomial(table: Tensor) -> Tensor:
+    """Coefficients (5, 4) [N/m] of the polynomials in cos(2 angle) through the rows at 16.7 % stretch."""
+    return _POLYNOMIAL.to(table) @ table[1:]
 
 
 def _mean_clamped(start: Tensor, sampled: Tensor, strain: Tensor) -> Tensor:

@@ -19,6 +19,9 @@ FOLDER = Path(__file__).parents[1] / "data" / "fabrics"
 STRETCH_SAMPLED = 1 / 6
 """Largest principal stretch, less one, at which rows 1-5 of a stretching table were sampled."""
 
+BEND_SPACING = 5.0
+"""Spacing [1/m] of the curvatures of a bending table's columns: 0, 5, 10, 15, 20."""
+
 LOADED_TWICE = 2.0
 """Stiffness that a stretching table's figures stand for, over the figures (ARCSim's loader doubles them)."""
 
@@ -84,7 +87,7 @@ def bending_stiffness(table: np.ndarray, angle: np.ndarray, curvature: np.ndarra
     """
     folded = np.abs((np.asarray(angle) + np.pi / 2) % np.pi - np.pi / 2)
     row = np.clip(folded / (np.pi / 4), 0, 2 - 1e-6)
-    column = np.clip(np.abs(curvature) / 5, 0, 4 - 1e-6)
+    column = np.clip(np.abs(curvature) / BEND_SPACING, 0, 4 - 1e-6)
     i, j = row.astype(int), column.astype(int)
     s, t = row - i, column - j
     left, right = (1 - s) * table[i, j] + s * table[i + 1, j], (1 - s) * table[i, j + 1] + s * table[i + 1, j + 1]

@@ -1,0 +1,125 @@
+"""Which effects have a compiled kernel, what it is called with, and running it on several threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects import kernels
+from caphy.effects.attachment import Attachment
+from caphy.effects.base import BodyState, Effect, Step, Values
+from caphy.effects.bending import Bending, bending_stiffness
+from caphy.effects.bending_measured import BendingMeasured, stiffness_nodes
+from caphy.effects.body_contact import BodyContact
+from caphy.effects.gravity import Gravity
+from caphy.effects.inertia import Inertia
+from caphy.effects.strain_measured import StrainMeasured, direction_polynomial
+from caphy.effects.strain_stvk import StrainStVK
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One effect on one cloth in one situation, as a kernel needs it."""
+
+    index: Tensor
+    rest: Mapping[str, Tensor]
+    values: Values
+    step: Step | None
+    body: BodyState | None
+
+
+Arguments = tuple[Callable, tuple[Tensor, ...], tuple[Tensor | float, ...]]
+"""A kernel, the vertex fields (..., V, 3) it reads besides the positions, and its constants."""
+
+
+def _strain_stvk(b: Bound) -> Arguments:
+    lame = float(b.values["lame_lambda"]), float(b.values["lame_mu"])
+    return kernels.strain_stvk, (), (b.index, b.rest["hat"], b.rest["area"], *lame)
+
+
+def _strain_measured(b: Bound) -> Arguments:
+    table = b.values["stretching"].to(torch.float64)
+    return kernels.strain_measured, (), (b.index, b.rest["hat"], b.rest["area"], table[0], direction_polynomial(table))
+
+
+def _bending(b: Bound) -> Arguments:
+    rest = b.rest["angle"], b.rest["length"], b.rest["area"]
+    return kernels.bending, (), (b.index, bending_stiffness(b.rest, b.values), *rest)
+
+
+def _bending_measured(b: Bound) -> Arguments:
+    rest = b.rest["angle"], b.rest["length"], b.rest["area"]
+    return kernels.bending_measured, (), (b.index, stiffness_nodes(b.rest, b.values), *rest)
+
+
+def _inertia(b: Bound) -> Arguments:
+    assert b.step is not None
+    return kernels.spring, (b.step.target,), (b.index, b.rest["mass"] / b.step.dt**2)
+
+
+def _attachment(b: Bound) -> Arguments:
+    assert b.body is not None
+    return kernels.spring, (b.body.anchor,), (b.index, b.values["stiffness"] * b.rest["strength"])
+
+
+def _gravity(b: Bound) -> Arguments:
+    return kernels.gravity, (), (b.index, b.rest["mass"], b.values["acceleration"])
+
+
+def _body_contact(b: Bound) -> Arguments:
+    assert b.body is not None
+    constants = b.rest["area"], b.rest["layer"], float(b.values["stiffness"]), float(b.values["distance"])
+    return kernels.body_contact, (b.body.point, b.body.normal), (b.index, *constants)
+
+
+KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments]] = {
+    StrainStVK: _strain_stvk,
+    StrainMeasured: _strain_measured,
+    Bending: _bending,
+    BendingMeasured: _bending_measured,
+    Gravity: _gravity,
+    Inertia: _inertia,
+    BodyContact: _body_contact,
+    Attachment: _attachment,
+}
+"""The effects that have a kernel."""
+
+
+def accumulate(arguments: Arguments, x: Tensor, energy: Tensor, gradient: Tensor) -> None:
+    """Add an effect at positions (..., V, 3) to ``energy`` (...,) and ``gradient`` (..., V, 3), all contiguous."""
+    kernel, fields, constants = arguments
+
+    def frames(field: Tensor) -> np.ndarray:
+        return field.detach().to(x).expand_as(x).reshape(-1, *x.shape[-2:]).contiguous().numpy()
+
+    moving = [frames(x), *map(frames, fields)]
+    fixed = [value.detach().contiguous().numpy() if isinstance(value, Tensor) else value for value in constants]
+    sums = energy.view(-1).numpy(), gradient.view(-1, *x.shape[-2:]).numpy()
+
+    def run(part: slice) -> None:
+        kernel(*(field[part] for field in moving), *fixed, *(total[part] for total in sums))
+
+    parts = _parts(len(moving[0]))
+    if len(parts) == 1:
+        run(parts[0])
+    else:
+        list(_pool().map(run, parts))
+
+
+def _parts(count: int) -> list[slice]:
+    """Frames split among as many threads as torch uses."""
+    threads = max(1, min(torch.get_num_threads(), count))
+    ends = [count * part // threads for part in range(threads + 1)]
+    return [slice(start, end) for start, end in pairwise(ends)]
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="caphy-effects")
