@@ -18,7 +18,7 @@ END = np.iinfo(np.int64).max
 
 
 def pose_features(
-    graph: OnnxGraph, network: GarmentNetwork, joints: list[int], local: str, transl: str, state: str
+    graph: OnnxGraph, network: GarmentNetwork, local: str, joints: list[int], *, transl: str, state: str
 ) -> tuple[str, str]:
     """Features (T, D) and the motion's state (16,), as :func:`caphy.network.features.pose_features` orders them.
 

@@ -7,27 +7,15 @@ coordinates kept planar (all x, all y, all z) until the end.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import onnx
 
 from caphy.conventions import JOINT_COUNT, JOINT_PARENTS
 from caphy.network.garment_network import GarmentNetwork
 from export.features_graph import pose_features
+from export.head import Head
 from export.kinematics_graph import chain, local_transforms, rotation_products, skinning_transforms
 from export.onnx_graph import OnnxGraph
-
-@dataclass(frozen=True)
-class Head:
-    """The linear layer as a product: offsets (3V,) = expand @ (reduce @ h) + bias.
-
-    expand: (3V, rank). reduce: (rank, width). bias: (3V,) [m]; vertex by vertex, x y z.
-    """
-
-    expand: np.ndarray
-    reduce: np.ndarray
-    bias: np.ndarray
 
 
 def garment_graph(network: GarmentNetwork, head: Head, name: str) -> onnx.ModelProto:
@@ -44,7 +32,7 @@ def garment_graph(network: GarmentNetwork, head: Head, name: str) -> onnx.ModelP
     local = local_transforms(graph, products, joints, network.joints.double().numpy())
     moved = skinning_transforms(graph, local, joints, JOINT_PARENTS, influences)
 
-    features, motion = pose_features(graph, network, joints, local, transl, state)
+    features, motion = pose_features(graph, network, local, joints, transl=transl, state=state)
     hidden, states = _gru(graph, network, features, state)
     points = _head(graph, head, network.template.double().numpy(), hidden)
     vertices = _skin(graph, moved, transl, points, weights[:, influences])

@@ -13,9 +13,10 @@ def chain(joints: Sequence[int], parents: Sequence[int]) -> list[int]:
     """``joints`` and all that carry them, the root included, in order."""
     found = {0}
     for joint in joints:
-        while joint > 0:
-            found.add(joint)
-            joint = int(parents[joint])
+        above = joint
+        while above > 0:
+            found.add(above)
+            above = int(parents[above])
     return sorted(found)
 
 

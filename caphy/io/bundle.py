@@ -285,7 +285,7 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         manifest = json.loads(path.read_bytes())
     except OSError as error:
         raise CaphyError(
-            f"{folder}: is no avatar bundle, {MANIFEST} cannot be read ({error.strerror}); write one with 'caphy export'"
+            f"{folder}: is no avatar bundle, {MANIFEST} cannot be read ({error.strerror}); write one with caphy export"
         ) from error
     except ValueError as error:
         raise CaphyError(f"{path}: is not JSON ({error}); export it again") from error

@@ -1,0 +1,98 @@
+"""A client in a few lines, without dependencies but numpy.
+
+client = Client("http://127.0.0.1:8000")
+meshes = client.frames("default", read_poses("walk.npz"))  # {"tshirt": (T, V, 3), "trousers": (T, V, 3)}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from typing import Any
+from urllib.parse import quote, urlencode, urlsplit
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.io.poses import PoseSequence
+from service.protocol import MEDIA_TYPE, FramesRequest, FramesResponse, decode_response, encode_request
+
+
+class Client:
+    """Talks to one service over one connection that is kept open; not for several threads at once.
+
+    Every method raises CaphyError with the service's own words where it refuses, or where it cannot be reached.
+    """
+
+    def __init__(self, url: str, timeout: float = 60.0) -> None:
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise CaphyError(f"a service's address is like http://127.0.0.1:8000, got {url!r}")
+        kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
+        self._connection = kind(parts.hostname, parts.port, timeout=timeout)
+        self._url = url
+        self.server_timing: dict[str, float] = {}
+        """Milliseconds the service spent on the last :meth:`run`: parse, infer, encode."""
+
+    def avatars(self) -> list[dict[str, Any]]:
+        """What the service offers."""
+        return json.loads(self._ask("GET", "/avatars"))
+
+    def describe(self, avatar: str) -> dict[str, Any]:
+        """One avatar: garments, joints, licence, provenance, metrics."""
+        return json.loads(self._ask("GET", f"/avatars/{quote(avatar, safe='')}"))
+
+    def frames(self, avatar: str, sequence: PoseSequence, garments: Sequence[str] = ()) -> dict[str, np.ndarray]:
+        """Vertices (T, V, 3) [m] per garment, at the avatar's frame rate, of a motion that starts here."""
+        return dict(self.run(avatar, sequence, garments).vertices)
+
+    def run(
+        self,
+        avatar: str,
+        sequence: PoseSequence,
+        garments: Sequence[str] = (),
+        states: Mapping[str, np.ndarray] | None = None,
+    ) -> FramesResponse:
+        """As :meth:`frames`, with the states after the last frame; give them to continue a motion."""
+        if sequence.frame == "camera":
+            raise CaphyError(
+                f"{sequence.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; "
+                "convert them to world coordinates first"
+            )
+        sequence = sequence.to_y_up()
+        state = np.concatenate(list(states.values())) if states else np.zeros(0, np.float32)
+        body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, state))
+        query = urlencode([("garment", name) for name in garments])
+        path = f"/avatars/{quote(avatar, safe='')}/frames" + (f"?{query}" if query else "")
+        return decode_response(self._ask("POST", path, body))
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
+    def _ask(self, method: str, path: str, body: bytes | None = None) -> bytes:
+        headers = {"accept": "application/json"} if body is None else {"content-type": MEDIA_TYPE, "accept": MEDIA_TYPE}
+        try:
+            self._connection.request(method, path, body, headers)
+            response = self._connection.getresponse()
+            content = response.read()
+        except (OSError, HTTPException) as error:
+            self._connection.close()
+            raise CaphyError(f"{self._url}: cannot be reached ({error}); is 'caphy serve' running there?") from error
+        if response.status != 200:
+            raise CaphyError(f"{self._url}{path}: {_detail(content)} (HTTP {response.status})")
+        self.server_timing = _timing(response.getheader("server-timing") or "")
+        return content
+
+
+def _detail(content: bytes) -> str:
+    try:
+        return str(json.loads(content)["detail"])
+    except (ValueError, KeyError, TypeError):
+        return content[:200].decode("utf-8", "replace")
+
+
+def _timing(header: str) -> dict[str, float]:
+    stages = (stage.strip().partition(";dur=") for stage in header.split(",") if ";dur=" in stage)
+    return {name: float(milliseconds) for name, _, milliseconds in stages}

@@ -1,0 +1,75 @@
+"""Runs garment networks: one thread per run, no spinning, small chunks that stay in the cache."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import onnxruntime
+
+from caphy.conventions import JOINT_COUNT
+from caphy.errors import CaphyError
+from caphy.io.bundle import BundledGarment
+
+
+class GarmentEngine:
+    """One garment's network, ready to run from any thread.
+
+    Raises CaphyError where the ONNX graph is damaged, has other inputs and outputs than the bundle promises, or does
+    not answer the rest pose with finite vertices.
+    """
+
+    def __init__(self, garment: BundledGarment, chunk: int = 8) -> None:
+        self.name = garment.name
+        self.state_size = garment.state_size
+        self.vertex_count = len(garment.mesh.vertices)
+        self._chunk = chunk
+        self._session = _session(garment)
+        self._require_interface()
+        rest = np.zeros((2 * chunk, JOINT_COUNT, 3), np.float32), np.zeros((2 * chunk, 3), np.float32)
+        if not np.isfinite(self.run(*rest, self.initial_state())[0]).all():  # also warms every buffer up
+            raise CaphyError(f"garment {self.name!r}: the rest pose gives vertices that are not finite")
+
+    def initial_state(self) -> np.ndarray:
+        """The state (S,) before the first frame."""
+        return np.zeros(self.state_size, np.float32)
+
+    def run(self, poses: np.ndarray, transl: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (T, V, 3) [m] of poses (T, 55, 3) [rad] and transl (T, 3) [m] after ``state``, and the state after
+        them; all float32."""
+        vertices = np.empty((len(poses), self.vertex_count, 3), np.float32)
+        for start in range(0, len(poses), self._chunk):
+            part = slice(start, start + self._chunk)
+            inputs = {"poses": poses[part], "transl": transl[part], "state": state}
+            outputs = self._session.run(("vertices", "next_state"), inputs)
+            vertices[part], state = cast(list[np.ndarray], outputs)
+        return vertices, state
+
+    def _require_interface(self) -> None:
+        expected = {
+            "poses": [JOINT_COUNT, 3],
+            "transl": [3],
+            "state": [self.state_size],
+            "vertices": [self.vertex_count, 3],
+            "next_state": [self.state_size],
+        }
+        tensors = [*self._session.get_inputs(), *self._session.get_outputs()]
+        found = {t.name: t.shape if t.name.endswith("state") else t.shape[1:] for t in tensors}
+        if found != expected or any(t.type != "tensor(float)" for t in tensors):
+            raise CaphyError(
+                f"garment {self.name!r}: the ONNX graph must have float tensors {expected}, it has {found}; "
+                "export the avatar again"
+            )
+
+
+def _session(garment: BundledGarment) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(garment.onnx, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises classes of its own, not exported
+        raise CaphyError(
+            f"garment {garment.name!r}: onnxruntime cannot load its graph ({error}); export the avatar again"
+        ) from error

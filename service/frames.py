@@ -1,0 +1,167 @@
+"""One request for frames: what it may hold, and how it is answered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from caphy.conventions import JOINT_COUNT, JOINT_NAMES
+from caphy.io.poses import PoseSequence
+from service.engine import GarmentEngine
+from service.problem import Problem
+from service.protocol import FramesRequest, FramesResponse
+from service.settings import Settings
+
+MAX_ANGLE: Final = 4 * np.pi
+"""Largest rotation of a joint [rad]: more than two turns are degrees, or a mistake."""
+MAX_DISTANCE: Final = 1000.0
+"""Largest translation along an axis [m]: beyond it float32 no longer resolves a tenth of a millimetre."""
+MAX_STATE: Final = 1e6
+FPS_RANGE: Final = (1.0, 1000.0)
+SKELETONS: Final = {
+    21: "SMPL-X's body joints without the root",
+    22: "SMPL-X's body without hands and face",
+    23: "SMPL's body joints without the root",
+    24: "SMPL, whose joints 22 and 23 are hands",
+    52: "SMPL-H, which has no jaw and eyes",
+    54: "SMPL-X without the root",
+}
+"""What a wrong number of joints probably is."""
+
+
+class JsonRequest(BaseModel):
+    """Body of a request in JSON."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    poses: list[list[list[float]]] = Field(description="axis-angle per frame and SMPL-X joint [rad]: (T, 55, 3)")
+    transl: list[list[float]] | None = Field(
+        None, description="translation per frame [m]: (T, 3), y up; zero if absent"
+    )
+    fps: float = Field(description="frames per second of the poses [Hz]")
+    state: dict[str, list[float]] = Field({}, description="state per garment, from the answer this one continues")
+
+
+def parse_json(body: bytes, engines: list[GarmentEngine]) -> FramesRequest:
+    """The request in a JSON body; raises Problem where it is not one."""
+    try:
+        parsed = JsonRequest.model_validate_json(body)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"])) or "the body"
+        raise Problem(422, f"{where}: {first['msg']}") from error
+    poses = _array(parsed.poses, "poses", "(frames, 55, 3)", 3)
+    transl = np.zeros((len(poses), 3)) if parsed.transl is None else _array(parsed.transl, "transl", "(frames, 3)", 2)
+    return FramesRequest(poses, transl, parsed.fps, _joined_state(parsed.state, engines))
+
+
+def _array(values: list[Any], name: str, shape: str, dimensions: int) -> np.ndarray:
+    try:
+        array = np.array(values, np.float64)
+    except ValueError as error:
+        raise Problem(422, f"{name}: every frame must hold as many numbers: {shape}") from error
+    if array.ndim != dimensions:
+        raise Problem(422, f"{name}: must have shape {shape}, got {array.shape}")
+    return array
+
+
+def _joined_state(states: Mapping[str, list[float]], engines: list[GarmentEngine]) -> np.ndarray:
+    if not states:
+        return np.zeros(0)
+    expected = {engine.name: engine.state_size for engine in engines}
+    found = {name: len(state) for name, state in states.items()}
+    if found != expected:
+        raise Problem(422, f"state: must hold {expected} floats by garment, got {found}")
+    return np.concatenate([states[engine.name] for engine in engines])
+
+
+def require_valid(request: FramesRequest, settings: Settings, fps: float, state_size: int) -> None:
+    """Raise Problem unless a network at ``fps`` with states of ``state_size`` floats in all can answer the request."""
+    frames, joints = request.poses.shape[:2]
+    if joints != JOINT_COUNT or request.poses.shape[2] != 3:
+        guess = f" (that is {SKELETONS[joints]})" if joints in SKELETONS else ""
+        raise Problem(
+            422,
+            f"poses: must have {JOINT_COUNT} joints of 3 numbers, those of SMPL-X in its order, got "
+            f"{joints} of {request.poses.shape[2]}{guess}; convert the file with 'caphy poses convert'",
+        )
+    if request.transl.shape != (frames, 3):
+        raise Problem(422, f"transl: must have shape ({frames}, 3), got {request.transl.shape}")
+    if not FPS_RANGE[0] <= request.fps <= FPS_RANGE[1]:
+        raise Problem(422, f"fps: must lie between {FPS_RANGE[0]:g} and {FPS_RANGE[1]:g}, got {request.fps:g}")
+    if frames == 0:
+        raise Problem(422, "poses: there must be at least one frame")
+    answered = frames if request.fps == fps else int((frames - 1) / request.fps * fps + 1e-6) + 1
+    if max(frames, answered) > settings.max_frames:
+        raise Problem(
+            413,
+            f"at most {settings.max_frames} frames are answered at once, got {frames} at {request.fps:g} fps, "
+            f"which are {answered} at {fps:g}; send the motion in parts and pass each answer's state on",
+        )
+    if request.state.size not in (0, state_size):
+        raise Problem(
+            422, f"state: must hold {state_size} floats for these garments, or none, got {request.state.size}"
+        )
+    if request.state.size and request.fps != fps:
+        raise Problem(
+            422, f"a motion is continued at {fps:g} fps only, got {request.fps:g}; resample the whole of it first"
+        )
+    _require_bounded(request)
+
+
+def _require_bounded(request: FramesRequest) -> None:
+    with np.errstate(over="ignore"):
+        angle = np.linalg.norm(request.poses, axis=-1)
+    bad = np.argwhere(~(angle <= MAX_ANGLE))
+    if len(bad):
+        frame, joint = bad[0]
+        raise Problem(
+            422,
+            f"poses: angles must be finite and at most {MAX_ANGLE:.1f} rad, got {angle[frame, joint]:g} "
+            f"at frame {frame}, joint {joint} ({JOINT_NAMES[joint]}); are they degrees?",
+        )
+    bad = np.argwhere(~(np.abs(request.transl) <= MAX_DISTANCE))
+    if len(bad):
+        frame, axis = bad[0]
+        raise Problem(
+            422,
+            f"transl: must be finite and within {MAX_DISTANCE:g} m of the origin, got "
+            f"{request.transl[frame, axis]:g} at frame {frame}; are they millimetres?",
+        )
+    if not (np.abs(request.state) <= MAX_STATE).all():
+        raise Problem(422, "state: must be finite; pass on what the last answer held")
+
+
+def answer(request: FramesRequest, engines: list[GarmentEngine], fps: float) -> FramesResponse:
+    """Run ``engines`` on a valid request, resampled to their ``fps``."""
+    poses, transl = request.poses, request.transl
+    if request.fps != fps:
+        resampled = PoseSequence(poses=poses, transl=transl, fps=request.fps, source="request").resample(fps)
+        poses, transl = resampled.poses, resampled.transl
+    poses, transl = (np.ascontiguousarray(array, np.float32) for array in (poses, transl))
+    vertices, states, offset = {}, {}, 0
+    for engine in engines:
+        state = engine.initial_state()
+        if request.state.size:
+            state = np.ascontiguousarray(request.state[offset : offset + engine.state_size], np.float32)
+        offset += engine.state_size
+        vertices[engine.name], states[engine.name] = engine.run(poses, transl, state)
+        if not (np.isfinite(vertices[engine.name]).all() and np.isfinite(states[engine.name]).all()):
+            raise Problem(422, f"garment {engine.name!r} left the finite numbers; is the state one it answered itself?")
+    return FramesResponse(vertices, states, fps, request.fps)
+
+
+def json_answer(response: FramesResponse) -> dict[str, Any]:
+    """The JSON of a response; positions to a hundredth of a millimetre."""
+    garments = {
+        name: {
+            "vertices": np.round(vertices.astype(np.float64), 5).tolist(),
+            "state": response.states[name].astype(np.float64).tolist(),
+        }
+        for name, vertices in response.vertices.items()
+    }
+    frames = len(next(iter(response.vertices.values())))
+    return {"fps": response.fps, "request_fps": response.request_fps, "frames": frames, "garments": garments}
