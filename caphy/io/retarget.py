@@ -24,6 +24,7 @@ from caphy.io.retarget_names import cmu_joints
 from caphy.rotations import (
     axis_angle_from_matrix,
     matrix_from_axis_angle,
+    quaternion_from_matrix,
 )
 
 INDEX: Final = {name: index for index, name in enumerate(JOINT_NAMES)}
@@ -45,13 +46,12 @@ SOURCES: Final[dict[str, tuple[str, ...]]] = {
             "foot": ("toes",),
             "collar": ("clavicle",),
             "shoulder": ("humerus",),
-            "elbow": ("radius", "wrist"),
+            "elbow": ("radius",),
             "wrist": ("hand",),
         }.items()
     },
 }
-"""CMU bones whose rotation a joint takes, the mean where there are two: the neck bends at both neck joints, and the
-forearm takes half of the wrist's twist (pronation), as the radius turns along its length."""
+"""CMU bones whose rotation a joint takes, the mean where there are two: the neck bends at both its joints."""
 
 LIMBS: Final[dict[str, tuple[str, str, str]]] = {
     f"{side}_{joint}": (f"{side}_{child}", side[0] + bone, side[0] + next_bone)
@@ -91,6 +91,8 @@ def retarget(motion: SkeletonMotion, body: RestBody) -> PoseSequence:
             turned[:, joint] = turned[:, parent]
         else:
             turned[:, joint] = _mean([world[:, bones[name]] for name in names]) @ alignments[joint]
+    for side in ("left", "right"):
+        _share_twist(turned, joints=(INDEX[f"{side}_elbow"], INDEX[f"{side}_wrist"]), rest=body.joints)
     local = turned.copy()
     for joint, parent in enumerate(JOINT_PARENTS[1:], start=1):
         local[:, joint] = np.swapaxes(turned[:, parent], -1, -2) @ turned[:, joint]
@@ -159,6 +161,20 @@ def _mean(rotations: list[np.ndarray]) -> np.ndarray:
     first, second = rotations
     half = axis_angle_from_matrix(np.swapaxes(first, -1, -2) @ second) / 2
     return first @ matrix_from_axis_angle(half)
+
+
+def _share_twist(turned: np.ndarray, joints: tuple[int, int], rest: np.ndarray) -> None:
+    """Give the elbow half of the wrist's twist about the forearm, in place: the radius turns along its length.
+
+    ``turned`` (T, 55, 3, 3) are world rotations; the twist is that of the swing-twist decomposition (Huyghe 2008).
+    """
+    elbow, wrist = joints
+    axis = rest[wrist] - rest[elbow]
+    axis = axis / np.linalg.norm(axis)
+    between = quaternion_from_matrix(np.swapaxes(turned[:, elbow], -1, -2) @ turned[:, wrist])
+    between = np.where(between[:, :1] < 0, -between, between)
+    twist = 2 * np.arctan2(between[:, 1:] @ axis, between[:, 0])
+    turned[:, elbow] = turned[:, elbow] @ matrix_from_axis_angle(twist[:, None] / 2 * axis)
 
 
 def _leg_length(joints: np.ndarray) -> float:

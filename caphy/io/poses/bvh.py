@@ -128,9 +128,9 @@ def _parse_motion(text: str, width: int, path: Path) -> tuple[np.ndarray, float]
 
 
 def _frame_rate(step: float) -> float:
-    """Frame rate of a printed frame time [s]: .0083333 is meant as 120 Hz, not 120.0005."""
+    """Frame rate of a printed frame time [s]: .0083333 is meant as 120 Hz; .0333667 stays 29.97 Hz."""
     rate = 1 / step
-    return float(round(rate)) if abs(rate - round(rate)) < 2e-3 * rate and round(rate) else rate
+    return float(round(rate)) if abs(rate - round(rate)) < 1e-4 * rate else rate
 
 
 def _numbers(words: list[str], path: Path, what: str) -> list[float]:
