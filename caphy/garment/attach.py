@@ -20,23 +20,22 @@ def skinning_weights(
     faces: np.ndarray,
     body: BodyModel,
     body_vertices: np.ndarray,
-    reach: float = 0.03,
-    blend: float = 0.0,
+    *,
+    reach: float = 0.05,
+    blend: np.ndarray | float = 0.0,
 ) -> np.ndarray:
     """Weights (V, 55) of a garment on the body's rest surface.
 
     Each vertex takes the weights of the nearest body point of its own side (so that a trouser leg never takes the
     other leg's), these are diffused over the garment to a distance of about ``reach`` [m], and the four largest
-    kept. Joints of the left half are then faded out across the middle, over ``blend`` [m] to each side, so that
+    kept. Left and right joints are then shared across the middle, over ``blend`` (V,) [m] to each side, so that
     a skirt's front follows both legs; where ``blend`` is zero only the seam itself is shared.
     """
     near = _nearest_of_side(vertices, faces, body, body_vertices)
     near[:, NEVER] = 0.0
     near /= np.maximum(near.sum(axis=1, keepdims=True), 1e-12)
     near = _diffuse(near, vertices, faces, reach)
-    if blend > 0:
-        near = _share_across_middle(near, vertices[:, 0], blend)
-    return prune(near)
+    return prune(_share_across_middle(near, vertices[:, 0], blend))
 
 
 def _nearest_of_side(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, body_vertices: np.ndarray) -> np.ndarray:
@@ -62,14 +61,14 @@ def _diffuse(weights: np.ndarray, vertices: np.ndarray, faces: np.ndarray, reach
     return weights
 
 
-def _share_across_middle(weights: np.ndarray, x: np.ndarray, blend: float) -> np.ndarray:
+def _share_across_middle(weights: np.ndarray, x: np.ndarray, blend: np.ndarray | float) -> np.ndarray:
     """Give part of each left joint's weight to its right twin near x = 0, half of it at x = 0, and vice versa."""
     twin = np.arange(len(JOINT_NAMES))
     for j, name in enumerate(JOINT_NAMES):
         for one, other in (("left", "right"), ("right", "left")):
             if name.startswith(one):
                 twin[j] = JOINT_NAMES.index(name.replace(one, other, 1))
-    t = np.clip(np.abs(x) / blend, 0.0, 1.0)
+    t = np.clip(np.abs(x) / np.maximum(blend, 1e-6), 0.0, 1.0)
     given = 0.5 * (1.0 - t * t * (3 - 2 * t))[:, None]
     return (1.0 - given) * weights + given * weights[:, twin]
 

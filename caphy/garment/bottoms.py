@@ -20,14 +20,14 @@ def trousers(marks: Landmarks, *, rise: float, leg: float, ease: float, leg_ease
     waist, hem = marks.crotch + rise, marks.crotch - leg
     hips, limb = _hips(marks, waist, ease), _leg(marks, hem, ease, leg_ease, taper)
     skin = body_distance(marks)
-    crotch = marks.crotch - 0.012
+    crotch = marks.crotch - 0.008
 
     def surface(p: np.ndarray) -> np.ndarray:
         p = folded(p)
-        seat = smooth_max(hips.distance(p), crotch - p[:, 1], 0.03)
-        between = np.clip(0.12 * (crotch + 0.03 - p[:, 1]), 0.0, 0.012)  # half the gap between the legs
+        seat = smooth_max(hips.distance(p), crotch - p[:, 1], 0.02)
+        between = np.clip(0.35 * (marks.crotch - p[:, 1]), 0.0, 0.014)  # half the gap between the legs
         tube = smooth_max(limb.distance(_unbent(p, marks)), between - p[:, 0], 0.004)
-        return smooth_min(smooth_min(seat, tube, 0.02), skin(p) - CLEARANCE, 0.008)
+        return smooth_min(smooth_min(seat, tube, 0.012), skin(p) - CLEARANCE, 0.008)
 
     size = np.abs(hips.support).max() + 0.05
     foot = marks.joint("left_ankle")[0] + 0.16

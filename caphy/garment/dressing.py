@@ -31,13 +31,14 @@ def dress(family: Family, marks: Landmarks, cut: Cut, vertices: np.ndarray, face
     attached = np.zeros(len(vertices))
     if "waist" in distance:
         attached = 1.0 - smooth_step(distance["waist"], 0.02, 0.05)
-    blend = 0.12 if family.family == "skirt" else 0.05 if "neck" in distance else 0.0
     return Garment(
         name=family.family,
         vertices=vertices,
         faces=faces,
         material=threads.lay_flat(vertices, faces, warp),
-        weights=skinning_weights(vertices, faces, marks.body, marks.vertices, blend=blend),
+        weights=skinning_weights(
+            vertices, faces, marks.body, marks.vertices, blend=blend_width(family.family, marks, vertices[:, 1])
+        ),
         regions=regions,
         layer_thickness=layer(family.layer_thickness, marks, vertices, "neck" in distance),
         attached=attached,
@@ -64,6 +65,13 @@ def keep_clear(vertices: np.ndarray, faces: np.ndarray, marks: Landmarks, least:
             push[groups[i]] = 1.2 * short[i] * near.normal[i]
         vertices += push
     return vertices
+
+
+def blend_width(family: str, marks: Landmarks, height: np.ndarray) -> np.ndarray:
+    """How far (V,) [m] from the middle left and right joints are shared; between trouser legs not at all."""
+    if family in ("trousers", "shorts"):
+        return 0.06 * smooth_step(height, marks.crotch - 0.03, marks.crotch + 0.04)
+    return np.full(len(height), 0.12)
 
 
 def thread_guide(marks: Landmarks, points: np.ndarray) -> np.ndarray:

@@ -49,7 +49,7 @@ class Top:
         arm = float(np.linalg.norm(marks.joint("left_wrist") - marks.joint("left_shoulder")))
         sleeve = self.arm_share * arm if self.sleeve is None else self.sleeve
         longest = marks.joint("neck")[1] - marks.joint("left_knee")[1]
-        length = marks.joint("neck")[1] - marks.crotch - 0.01 if self.length is None else self.length
+        length = marks.joint("neck")[1] - marks.crotch - 0.03 if self.length is None else self.length
         _between("sleeve", sleeve, 0.0, arm)
         _between("length", length, marks.joint("neck")[1] - marks.armpit + 0.05, longest)
         return tops.top(

@@ -150,6 +150,25 @@ def components(faces: np.ndarray) -> list[np.ndarray]:
     return sorted(parts, key=len, reverse=True)
 
 
+def consistent_winding(faces: np.ndarray) -> np.ndarray:
+    """Which faces (F,) to turn over so that neighbours agree, keeping each component's majority as it is."""
+    faces = np.asarray(faces)
+    directed = half_edges(faces)
+    key = np.sort(directed, axis=1)
+    order = np.lexsort((key[:, 1], key[:, 0]))
+    same = np.all(key[order[1:]] == key[order[:-1]], axis=1)
+    one, two = order[:-1][same], order[1:][same]
+    agree = directed[one, 0] != directed[two, 0]
+    # nodes f and F + f stand for face f kept and turned: joined across an edge in the combinations that agree
+    count = len(faces)
+    f, g = one // 3, two // 3
+    kept = np.stack([f, np.where(agree, g, g + count)], axis=1)
+    turned = np.stack([f + count, np.where(agree, g + count, g)], axis=1)
+    label = connected_labels(2 * count, np.concatenate([kept, turned]))
+    size = np.bincount(label[:count], minlength=2 * count)
+    return size[label[:count]] < size[label[count:]]
+
+
 def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     """Closed boundary curves as vertex indices, each following its faces' winding, the longest first.
 

@@ -119,12 +119,18 @@ def _read_with_trimesh(path: Path) -> RawMesh:
 
 
 def clean_mesh(
-    raw: RawMesh, *, scale: float = 1.0, up: Axis | None = None, triangulate: bool = False, component: str | None = None
+    raw: RawMesh,
+    *,
+    scale: float = 1.0,
+    up: Axis | None = None,
+    triangulate: bool = False,
+    component: str | None = None,
+    rewind: bool = False,
 ) -> UserMesh:
     """One component of ``raw`` as manifold triangles in metres, y up.
 
-    ``component`` is ``upper`` or ``lower`` (by mean height) or a number (0 has most faces); ``up`` None means y, unless
-    the mesh then lies flat.
+    ``component`` is ``upper`` or ``lower`` (by mean height) or a number (0 has most faces); ``up`` None means y, but
+    not if the mesh then lies flat. ``rewind`` turns over faces that are wound against their neighbours.
 
     Raises
         CaphyError: for polygons, several components, a wrong unit or up axis, or a mesh that is not an oriented
@@ -146,13 +152,30 @@ def clean_mesh(
     _check_size(raw, vertices, scale)
     if up is None:
         _check_upright(raw, vertices)
-    defects = topology.check_manifold(faces)
-    if defects:
-        raise CaphyError(
-            f"{raw.path}: the mesh must be an oriented manifold with open hems, got {defects.describe()}; "
-            "repair it in a mesh editor (Blender: Mesh > Clean Up > Merge by Distance, then Normals > Recalculate Outside)"
+    panel = None if panel is None else panel[chosen]
+    if rewind:
+        order = topology.consistent_winding(faces)
+        faces = np.where(order[:, None], faces[:, ::-1], faces)
+        panel = None if panel is None else np.where(order[:, None, None], panel[:, ::-1], panel)
+    _check_defects(raw, topology.check_manifold(faces))
+    return UserMesh(vertices, faces, panel)
+
+
+def _check_defects(raw: RawMesh, defects: topology.Defects) -> None:
+    if not defects:
+        return
+    only_winding = not (defects.edges.size or defects.vertices.size or defects.degenerate.size)
+    repair = (
+        "pass --rewind to wind all faces alike"
+        if only_winding
+        else (
+            "repair it in a mesh editor (in Blender: Mesh > Clean Up > Merge by Distance, then delete doubled or "
+            "inner faces)"
         )
-    return UserMesh(vertices, faces, None if panel is None else panel[chosen])
+    )
+    raise CaphyError(
+        f"{raw.path}: the mesh must be an oriented manifold with open hems, got {defects.describe()}; {repair}"
+    )
 
 
 def _fan(polygons: list[list[int]]) -> np.ndarray:

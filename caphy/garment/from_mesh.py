@@ -1,0 +1,86 @@
+"""A :class:`Garment` from a user's own mesh: rest metric from its panels or its 3-D shape, attachment to a body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from caphy.body.surface import nearest_on_surface
+from caphy.conventions import JOINT_NAMES
+from caphy.errors import CaphyError
+from caphy.garment import panels, threads, topology
+from caphy.garment.attach import skinning_weights
+from caphy.garment.cut import smooth_step
+from caphy.garment.dressing import thread_guide
+from caphy.garment.landmarks import Landmarks
+from caphy.garment.template import Garment
+from caphy.garment.usermesh import UserMesh
+
+FARTHEST = 0.5
+"""A garment whose middle vertex is farther [m] than this from the body is not on it."""
+
+
+def garment_from_mesh(
+    mesh: UserMesh,
+    name: str,
+    marks: Landmarks,
+    *,
+    panel_scale: float = 1.0,
+    waistband: bool = False,
+    layer_thickness: float = 0.0,
+    provenance: dict[str, str] | None = None,
+) -> Garment:
+    """Attach ``mesh``, which must already lie on the body in T-pose, and give it a rest metric.
+
+    ``waistband`` holds the highest opening to the body. Regions are named after the joint that moves them most.
+
+    Raises
+        CaphyError: if the mesh is nowhere near the body.
+    """
+    distance = clearance(mesh, marks)
+    if np.median(np.abs(distance)) > FARTHEST:
+        raise CaphyError(
+            f"{name}: the garment must lie on the body, whose hips are at the origin, but is "
+            f"{np.median(np.abs(distance)):.2f} m away at the median; pass --offset X Y Z in metres to move it"
+        )
+    material, metric = rest_metric(mesh, marks, panel_scale)
+    weights = skinning_weights(mesh.vertices, mesh.faces, marks.body, marks.vertices)
+    return Garment(
+        name=name,
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        material=material,
+        weights=weights,
+        regions=np.array(JOINT_NAMES)[weights.argmax(axis=1)],
+        layer_thickness=np.full(len(mesh.vertices), layer_thickness),
+        attached=_top_band(mesh) if waistband else np.zeros(len(mesh.vertices)),
+        provenance={**(provenance or {}), "metric": metric},
+    )
+
+
+def rest_metric(mesh: UserMesh, marks: Landmarks, panel_scale: float = 1.0) -> tuple[np.ndarray, str]:
+    """Material coordinates (F, 3, 2) [m] and where they come from: the panels if those are metric, else the 3-D shape."""
+    reason = "the file has no panel coordinates"
+    if mesh.panel is not None:
+        panel = mesh.panel * panel_scale
+        report = panels.examine(mesh.vertices, mesh.faces, panel)
+        if report.usable:
+            return panels.material_from_panels(panel), "panel coordinates"
+        reason = report.complaint()
+    guide = thread_guide(marks, mesh.vertices[mesh.faces].mean(axis=1))
+    warp = threads.warp_field(mesh.vertices, mesh.faces, guide)
+    return threads.lay_flat(mesh.vertices, mesh.faces, warp), f"3-D shape, because {reason}"
+
+
+def clearance(mesh: UserMesh, marks: Landmarks) -> np.ndarray:
+    """Signed distance (V,) [m] of the garment's vertices to the body, negative inside."""
+    return nearest_on_surface(mesh.vertices, marks.vertices, marks.body.faces).distance
+
+
+def _top_band(mesh: UserMesh) -> np.ndarray:
+    """1 on the highest opening, falling to 0 within 5 cm below it."""
+    loops = topology.boundary_loops(mesh.faces)
+    if not loops:
+        return np.zeros(len(mesh.vertices))
+    top = max(loops, key=lambda loop: mesh.vertices[loop, 1].mean())
+    below = mesh.vertices[top, 1].min() - mesh.vertices[:, 1]
+    return 1.0 - smooth_step(below, 0.02, 0.05)
