@@ -16,7 +16,7 @@ import caphy
 from service import frames, mesh, problem, protocol
 from service.avatars import Avatar, load_avatars
 from service.problem import Problem
-from service.settings import Settings
+from service.settings import Settings, read_settings
 
 JSON_MEDIA_TYPE = "application/json"
 AvatarId = Annotated[str, Path(description="an id that GET /avatars lists")]
@@ -41,13 +41,13 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def create_app(settings: Settings | None = None) -> FastAPI:
-    """The application; avatars are loaded, and errors in them raised, when it starts."""
-    settings = settings or Settings()  # type: ignore[call-arg]  # every field has a default
+def create_app(settings: Settings | None = None, avatars: dict[str, Avatar] | None = None) -> FastAPI:
+    """The application; avatars that are not given are loaded, and errors in them raised, when it starts."""
+    settings = settings or read_settings()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        app.state.avatars = load_avatars(settings.avatars, settings.chunk_frames)
+        app.state.avatars = avatars or load_avatars(settings.avatars, settings.chunk_frames)
         yield
 
     app = FastAPI(title="caphy", version=caphy.__version__, lifespan=lifespan)

@@ -113,7 +113,7 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, state_
 
 
 def _require_bounded(request: FramesRequest) -> None:
-    with np.errstate(over="ignore"):
+    with np.errstate(all="ignore"):  # signalling NaN, infinity
         angle = np.linalg.norm(request.poses, axis=-1)
     bad = np.argwhere(~(angle <= MAX_ANGLE))
     if len(bad):

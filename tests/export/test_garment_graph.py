@@ -159,7 +159,7 @@ def test_head_keeps_the_tolerance_with_the_least_rank():
     hidden = hidden_states(network, [wiggle(seed=1)])
     head, error = smallest_head(network, hidden, hidden, tolerance=1e-4)
     assert error <= 1e-4
-    assert head.rank == 32 < 48
+    assert head.rank == 32  # of 48
     copied = with_head(network, head)
     np.testing.assert_allclose(copied.head.weight.detach().numpy(), head.expand @ head.reduce)
 

@@ -1,0 +1,266 @@
+"""The endpoints, and everything a client can get wrong."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from fastapi.testclient import TestClient
+
+from caphy.errors import CaphyError
+from service.app import create_app
+from service.protocol import MEDIA_TYPE, FramesRequest, decode_response, encode_request
+from service.settings import Settings
+
+FRAMES = "/avatars/shell/frames"
+BINARY = {"content-type": MEDIA_TYPE}
+JSON = {"content-type": "application/json"}
+
+
+def body_of(motion, fps=None, state=(), **changes) -> bytes:
+    request = FramesRequest(
+        changes.get("poses", motion.poses),
+        changes.get("transl", motion.transl),
+        motion.fps if fps is None else fps,
+        np.array(state),
+    )
+    return encode_request(request)
+
+
+def still(frames: int, joints: int = 55, fps: float = 30.0) -> bytes:
+    """A request of the rest pose."""
+    return encode_request(FramesRequest(np.zeros((frames, joints, 3)), np.zeros((frames, 3)), fps, np.zeros(0)))
+
+
+def refused(response, status: int, *words: str) -> None:
+    """The answer is a problem (RFC 9457) that names what was wrong."""
+    assert response.status_code == status, response.text[:300]
+    assert response.headers["content-type"] == "application/problem+json"
+    problem = response.json()
+    assert problem["status"] == status
+    assert problem["title"]
+    for word in words:
+        assert word in problem["detail"]
+    assert "Traceback" not in response.text
+
+
+def test_health_and_ready(http):
+    assert http.get("/health").json()["status"] == "ok"
+    assert http.get("/ready").json() == {"status": "ready"}
+
+
+def test_not_ready_before_avatars_are_loaded(avatars):
+    client = TestClient(create_app(Settings(avatars=avatars)))  # no lifespan: nothing is loaded
+    refused(client.get("/ready"), 503, "loading")
+
+
+def test_lists_and_describes_avatars(http, bundle):
+    (listed,) = http.get("/avatars").json()
+    assert (listed["id"], listed["fps"]) == ("shell", 30)
+    assert [g["name"] for g in listed["garments"]] == ["tshirt", "trousers"]
+    described = http.get("/avatars/shell").json()
+    assert "CC0" in described["licence"]
+    np.testing.assert_allclose(described["joints"], bundle.joints)
+    assert described["provenance"] == {"made_by": "tests"}
+
+
+def test_static_mesh_as_json_and_glb(http, bundle):
+    meshes = http.get("/avatars/shell/mesh").json()
+    assert list(meshes) == ["body", "tshirt", "trousers"]
+    np.testing.assert_allclose(meshes["tshirt"]["vertices"], bundle.garment("tshirt").mesh.vertices, atol=6e-6)
+    assert meshes["tshirt"]["faces"] == bundle.garment("tshirt").mesh.faces.tolist()
+    count = sum(len(vertices) for vertices in meshes["tshirt"]["regions"].values())
+    assert count == len(meshes["tshirt"]["vertices"])
+    glb = http.get("/avatars/shell/mesh?format=glb")
+    assert glb.headers["content-type"] == "model/gltf-binary"
+    scene = trimesh.load(io.BytesIO(glb.content), file_type="glb", process=False)
+    np.testing.assert_allclose(scene.geometry["body"].vertices, bundle.body.vertices, atol=1e-6)
+
+
+def test_binary_and_json_agree(http, motion):
+    few = motion[:12]
+    binary = decode_response(http.post(FRAMES, content=body_of(few), headers=BINARY).content)
+    asked = {"fps": 30, "poses": few.poses.tolist(), "transl": few.transl.tolist()}
+    answered = http.post(FRAMES, json=asked).json()
+    assert answered["frames"] == 12
+    assert (answered["fps"], answered["request_fps"]) == (30, 30)
+    assert list(answered["garments"]) == list(binary.vertices) == ["tshirt", "trousers"]
+    for name, garment in answered["garments"].items():
+        np.testing.assert_allclose(garment["vertices"], binary.vertices[name], atol=1.1e-5)
+        np.testing.assert_allclose(garment["state"], binary.states[name], atol=1e-6)
+
+
+def test_accept_chooses_the_answer(http, motion):
+    few = motion[:2]
+    mixed = http.post(FRAMES, content=body_of(few), headers={**BINARY, "accept": "application/json"})
+    assert mixed.json()["frames"] == 2
+    asked = {"fps": 30, "poses": few.poses.tolist(), "transl": few.transl.tolist()}
+    assert decode_response(http.post(FRAMES, json=asked, headers={"accept": MEDIA_TYPE}).content).fps == 30
+    refused(http.post(FRAMES, json=asked, headers={"accept": "text/html"}), 406, "application/json")
+
+
+def test_one_garment(http, motion):
+    answer = decode_response(http.post(FRAMES + "?garment=trousers", content=body_of(motion), headers=BINARY).content)
+    assert list(answer.vertices) == ["trousers"]
+
+
+@pytest.mark.parametrize("cut", [1, 13])
+def test_state_continues_a_motion(http, motion, cut):
+    whole = decode_response(http.post(FRAMES, content=body_of(motion), headers=BINARY).content)
+    first = decode_response(http.post(FRAMES, content=body_of(motion[:cut]), headers=BINARY).content)
+    state = np.concatenate(list(first.states.values()))
+    rest = motion[cut:]
+    second = decode_response(http.post(FRAMES, content=body_of(rest, state=state), headers=BINARY).content)
+    cold = decode_response(http.post(FRAMES, content=body_of(rest), headers=BINARY).content)
+    for name, vertices in whole.vertices.items():
+        joined = np.concatenate([first.vertices[name], second.vertices[name]])
+        np.testing.assert_allclose(joined, vertices, atol=5e-6)
+        assert np.abs(cold.vertices[name][0] - vertices[cut]).max() > 1e-4  # the state matters
+
+
+def test_state_continues_a_motion_in_json(http, motion):
+    def post(part, **extra):
+        asked = {"fps": 30, "poses": part.poses.tolist(), "transl": part.transl.tolist(), **extra}
+        return http.post(FRAMES, json=asked)
+
+    whole = post(motion[:8]).json()["garments"]
+    first = post(motion[:5]).json()["garments"]
+    second = post(motion[5:8], state={name: g["state"] for name, g in first.items()}).json()["garments"]
+    for name, garment in whole.items():
+        np.testing.assert_allclose(second[name]["vertices"], garment["vertices"][5:], atol=2e-5)
+
+
+def test_other_frame_rates_are_resampled_by_slerp(http, motion):
+    fast = motion.resample(60)
+    answer = decode_response(http.post(FRAMES, content=body_of(fast), headers=BINARY).content)
+    assert (answer.fps, answer.request_fps) == (30, 60)
+    expected = decode_response(http.post(FRAMES, content=body_of(fast.resample(30)), headers=BINARY).content)
+    for name, vertices in expected.vertices.items():
+        assert answer.vertices[name].shape == vertices.shape
+        np.testing.assert_allclose(answer.vertices[name], vertices, atol=1e-5)
+
+
+def test_server_timing_names_the_stages(http, motion):
+    header = http.post(FRAMES, content=body_of(motion), headers=BINARY).headers["server-timing"]
+    assert all(stage in header for stage in ("parse;dur=", "infer;dur=", "encode;dur="))
+
+
+WRONG_JOINTS = [(22, "without hands"), (24, "SMPL"), (52, "SMPL-H"), (1, "55"), (56, "55")]
+
+
+@pytest.mark.parametrize(("joints", "word"), WRONG_JOINTS)
+def test_wrong_joint_counts(http, joints, word):
+    asked = {"fps": 30, "poses": np.zeros((3, joints, 3)).tolist()}
+    refused(http.post(FRAMES, content=still(3, joints), headers=BINARY), 422, word, str(joints), "55")
+    refused(http.post(FRAMES, json=asked), 422, word, str(joints), "55")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, 90.0])
+def test_bad_angles_name_frame_and_joint(http, motion, value):
+    poses = motion.poses.copy()
+    poses[7, 18, 1] = value
+    refused(http.post(FRAMES, content=body_of(motion, poses=poses), headers=BINARY), 422, "frame 7", "left_elbow")
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1700.0])
+def test_bad_translations_name_the_frame(http, motion, value):
+    transl = motion.transl.copy()
+    transl[3, 2] = value
+    refused(http.post(FRAMES, content=body_of(motion, transl=transl), headers=BINARY), 422, "frame 3", "transl")
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999"])
+def test_json_numbers_must_be_finite(http, text):
+    poses = "[[" + "[0,0,0]," * 54 + f"[0,0,{text}]]]"
+    refused(http.post(FRAMES, content=f'{{"fps":30,"poses":{poses}}}', headers=JSON), 422, "finite")
+
+
+@pytest.mark.parametrize("fps", [0.0, -30.0, np.nan, np.inf, 1e9])
+def test_bad_frame_rates(http, motion, fps):
+    refused(http.post(FRAMES, content=body_of(motion, fps=fps), headers=BINARY), 422, "fps")
+
+
+def test_bad_states(http, motion, bundle):
+    size = sum(garment.state_size for garment in bundle.garments)
+    refused(http.post(FRAMES, content=body_of(motion, state=np.zeros(5)), headers=BINARY), 422, "state", str(size))
+    for value in (np.nan, 1e30):
+        refused(http.post(FRAMES, content=body_of(motion, state=np.full(size, value)), headers=BINARY), 422, "state")
+    refused(http.post(FRAMES, content=body_of(motion, fps=60, state=np.zeros(size)), headers=BINARY), 422, "30 fps")
+    asked = {"fps": 30, "poses": motion.poses.tolist(), "state": {"tshirt": [0.0]}}
+    refused(http.post(FRAMES, json=asked), 422, "state", "trousers")
+
+
+def test_too_many_frames(http):
+    refused(http.post(FRAMES, content=still(1801), headers=BINARY), 413, "1800")
+    refused(http.post(FRAMES, content=still(100, fps=1), headers=BINARY), 413, "2971")
+    accept = {**BINARY, "accept": "application/json"}
+    refused(http.post(FRAMES, content=still(200), headers=accept), 413, "octet-stream")
+
+
+def test_no_frames(http):
+    refused(http.post(FRAMES, json={"fps": 30, "poses": []}), 422, "poses")
+    refused(http.post(FRAMES, content=still(0), headers=BINARY), 422, "at least one frame")
+
+
+def test_too_large_a_body_is_cut_off_while_it_streams(avatars):
+    with TestClient(create_app(Settings(avatars=avatars, max_body_bytes=2000))) as client:
+        refused(client.post(FRAMES, content=bytes(3000), headers=BINARY), 413, "2000")
+        refused(client.post(FRAMES, content=iter([bytes(1500)] * 4), headers=BINARY), 413, "2000")
+
+
+@pytest.mark.parametrize("kind", ["text/plain", "multipart/form-data", "application/x-npz", ""])
+def test_other_content_types(http, kind):
+    refused(http.post(FRAMES, content=b"x", headers={"content-type": kind}), 415, "application/json")
+
+
+def test_unknown_avatars_garments_and_routes(http, motion):
+    refused(http.get("/avatars/nobody"), 404, "nobody", "shell")
+    refused(http.get("/avatars/nobody/mesh"), 404)
+    refused(http.post("/avatars/nobody/frames", content=body_of(motion), headers=BINARY), 404)
+    refused(http.post("/avatars/..%2f..%2fetc/frames", content=body_of(motion), headers=BINARY), 404)
+    refused(http.post(FRAMES + "?garment=hat", content=body_of(motion), headers=BINARY), 404, "hat", "tshirt")
+    refused(http.get("/nothing"), 404)
+    refused(http.get(FRAMES), 405)
+    refused(http.get("/avatars/shell/mesh?format=obj"), 422, "format")
+
+
+@pytest.mark.parametrize("body", [b"", b"CPHQ", b"XXXX" + bytes(20), bytes(24), b"{}", b"\xff" * 100])
+def test_malformed_binary(http, body):
+    refused(http.post(FRAMES, content=body, headers=BINARY), 422)
+
+
+def test_a_header_that_promises_more_than_it_holds(http):
+    header = struct.pack("<4sHHIIfI", b"CPHQ", 1, 0, 2**32 - 1, 2**32 - 1, 30.0, 2**32 - 1)
+    refused(http.post(FRAMES, content=header, headers=BINARY), 422, "bytes")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        *("", "{", "[]", "null", "[" * 100000),
+        *('{"fps":30}', '{"fps":"x","poses":[]}', '{"poses":[[1]],"fps":30}', '{"fps":30,"poses":[],"typo":1}'),
+        *('{"fps":30,"poses":[[[0,0,0]],[[0,0]]]}', '{"fps":30,"poses":[[[]]]}'),
+    ],
+)
+def test_malformed_json(http, body):
+    refused(http.post(FRAMES, content=body, headers=JSON), 422)
+
+
+def test_an_error_of_our_own_is_a_500_without_a_traceback(http, monkeypatch, motion):
+    monkeypatch.setattr("service.frames.answer", lambda *_: 1 / 0)
+    refused(http.post(FRAMES, content=body_of(motion), headers=BINARY), 500)
+
+
+def test_starts_only_with_avatars(tmp_path):
+    with pytest.raises(CaphyError, match="holds no avatar"), TestClient(create_app(Settings(avatars=tmp_path))):
+        pass
+    with pytest.raises(CaphyError, match="--avatars"), TestClient(create_app(Settings(avatars=tmp_path / "none"))):
+        pass
+
+
+def test_openapi_describes_both_encodings(http):
+    operation = http.get("/openapi.json").json()["paths"]["/avatars/{avatar}/frames"]["post"]
+    assert set(operation["requestBody"]["content"]) == {"application/json", MEDIA_TYPE}

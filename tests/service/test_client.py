@@ -1,0 +1,69 @@
+"""The client against a live service."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caphy.errors import CaphyError
+from service.client import Client
+from service.engine import GarmentEngine
+
+
+def test_frames_are_the_engines(url, bundle, motion):
+    client = Client(url)
+    meshes = client.frames("shell", motion)
+    for garment in bundle.garments:
+        engine = GarmentEngine(garment)
+        arrays = (motion.poses.astype(np.float32), motion.transl.astype(np.float32))
+        np.testing.assert_array_equal(meshes[garment.name], engine.run(*arrays, engine.initial_state())[0])
+    assert set(client.server_timing) == {"parse", "infer", "encode"}
+    assert client.server_timing["infer"] > 0
+
+
+def test_a_motion_in_parts(url, motion):
+    client = Client(url)
+    whole = client.frames("shell", motion, ["tshirt"])
+    first = client.run("shell", motion[:11], ["tshirt"])
+    second = client.run("shell", motion[11:], ["tshirt"], first.states)
+    joined = np.concatenate([first.vertices["tshirt"], second.vertices["tshirt"]])
+    np.testing.assert_allclose(joined, whole["tshirt"], atol=5e-6)
+
+
+def test_z_up_motions_are_turned(url, motion):
+    client = Client(url)
+    expected, found = client.frames("shell", motion), client.frames("shell", motion.to_z_up())
+    np.testing.assert_allclose(found["tshirt"], expected["tshirt"], atol=1e-5)
+
+
+def test_lists_and_describes(url):
+    client = Client(url)
+    assert [avatar["id"] for avatar in client.avatars()] == ["shell"]
+    assert client.describe("shell")["name"] == "shell"
+
+
+def test_the_services_words_reach_the_caller(url, motion):
+    client = Client(url)
+    with pytest.raises(CaphyError, match=r"no avatar 'nobody'.*HTTP 404"):
+        client.frames("nobody", motion)
+    with pytest.raises(CaphyError, match="no garment"):
+        client.frames("shell", motion, ["hat"])
+    assert client.frames("shell", motion)  # the connection still serves
+
+
+def test_camera_frames_are_not_guessed(url, motion):
+    with pytest.raises(CaphyError, match="camera"):
+        Client(url).frames("shell", replace(motion, frame="camera"))
+
+
+def test_nobody_there_and_no_address():
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+    with pytest.raises(CaphyError, match="cannot be reached"):
+        Client(f"http://127.0.0.1:{port}").avatars()
+    with pytest.raises(CaphyError, match="address"):
+        Client("localhost:8000")
