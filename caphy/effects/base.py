@@ -141,6 +141,8 @@ class Effect:
         internal: exerts no net force and no net torque.
         needs_step: acts only in motion (inertia, damping, friction); skipped in statics.
         needs_body: reads :class:`BodyState`; skipped where there is no body.
+        borrows: other effects whose parameters it reads too, as ``p["body_contact.stiffness"]``; the model must have
+            them.
     """
 
     name: ClassVar[str]
@@ -150,6 +152,7 @@ class Effect:
     internal: ClassVar[bool] = False
     needs_step: ClassVar[bool] = False
     needs_body: ClassVar[bool] = False
+    borrows: ClassVar[tuple[str, ...]] = ()
 
     def index(self, cloth: Cloth) -> np.ndarray:
         """Vertex indices of each element, (n, k). Override to act on some elements only (a waistband, a hem)."""

@@ -61,10 +61,10 @@ class BendingMeasured(Effect):
         return gradient_jacobian(self, e, p)
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        """Gauss-Newton: the curvature of the angle is left out, and no moment falls as the angle grows."""
+        """Gauss-Newton: the curvature of the angle is left out, and a moment grows at least in proportion."""
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        _, _, tangent = _moments(_column(e, angle - e.rest["angle"]), stiffness_nodes(e.rest, p))
-        return outer(tangent.clamp_min(0) * e.rest["length"] ** 2 / (4 * e.rest["area"]) * slope, slope)
+        _, secant, tangent = _moments(_column(e, angle - e.rest["angle"]), stiffness_nodes(e.rest, p))
+        return outer(torch.maximum(tangent, secant) * e.rest["length"] ** 2 / (4 * e.rest["area"]) * slope, slope)
 
 
 def _column(e: Elements, turn: Tensor) -> Tensor:

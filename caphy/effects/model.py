@@ -47,6 +47,10 @@ class Model:
         if not (np.isfinite(self.density) and self.density > 0):
             raise CaphyError(f"the area density must be positive [kg/m^2], got {self.density}")
         checked = {name: checked_values(name, values) for name, values in self.effects.items()}
+        for name in checked:
+            missing = sorted(set(find_effect(name).borrows) - set(checked))
+            if missing:
+                raise CaphyError(f"{name} needs {missing[0]} in the same model; add it")
         object.__setattr__(self, "effects", checked)
 
     def with_effect(self, name: str, **values: object) -> Model:

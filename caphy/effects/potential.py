@@ -83,6 +83,8 @@ class Potential:
 
         index = torch.as_tensor(effect.index(self.cloth), dtype=torch.int64)
         values = {key: tensor(value) for key, value in self.model.effects[name].items()}
+        for other in effect.borrows:
+            values |= {f"{other}.{key}": tensor(value) for key, value in self.model.effects[other].items()}
         rest = {key: tensor(value) for key, value in effect.rest(self.cloth).items()}
         incidence = _incidence(index, len(self.cloth.vertices))
         return Term(effect, index.to(self.device), incidence.to(self.device), rest, values)

@@ -1,0 +1,376 @@
+"""What every effect must satisfy, whoever wrote it: one function per property, each raising AssertionError.
+
+The derivatives are compared with finite differences of the energy, the units by measuring the same cloth in other
+units, the rest by symmetry. The tests run it on every registered effect and ``caphy effects check`` on a user's file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.base import BodyState, Effect, Step
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model, ParameterValues
+from caphy.effects.potential import Potential
+from caphy.effects.registry import find_effect
+from caphy.effects.trial import DT, Moment, flat_cloth, irregular_cloth, moment, pleated_cloth
+from caphy.errors import CaphyError
+
+
+def _potential(name: str, cloth: Cloth, dtype: torch.dtype = torch.float64, **values: Any) -> Potential:
+    """The effect alone on a cloth, with what it borrows from left out of the sums."""
+    borrowed: dict[str, Any] = {other: {} for other in find_effect(name).borrows}
+    model = Model(cloth.density, {**borrowed, name: values})
+    potential = Potential(model, cloth, dtype)
+    potential.terms = {name: potential.terms[name]}
+    return potential
+
+
+def _energy(name: str, cloth: Cloth, at: Moment, **values: Any) -> float:
+    return float(_potential(name, cloth, **values).energies(at.x, at.step, at.body)[name].sum())
+
+
+def _close(got: Tensor, wanted: Tensor, what: str, relative: float) -> None:
+    scale = float(wanted.abs().max())
+    error = float((got - wanted).abs().max())
+    assert error <= relative * scale + 1e-300, (
+        f"{what}: off by {error:g}, {error / max(scale, 1e-300):.1e} of {scale:g}"
+    )
+
+
+def documented(name: str) -> None:
+    """Default-constructible; docstring gives the energy's unit; reference, and unit and meaning of each parameter."""
+    effect = find_effect(name)
+    assert effect.name == name
+    assert "[J]" in (type(effect).__doc__ or ""), "the docstring must give the energy's formula and unit, [J]"
+    assert len(effect.reference) > 10, "reference must cite where the effect comes from"
+    for key, parameter in effect.parameters.items():
+        assert parameter.unit and parameter.doc, f"{key} must have a unit and a line of documentation"
+
+
+def finite(name: str) -> None:
+    """Finite and not idle on a shaken cloth."""
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    energy, gradient = _potential(name, cloth).gradient(at.x, at.step, at.body)
+    assert bool(energy.isfinite()) and bool(gradient.isfinite().all()), "energy and gradient must be finite"
+    assert float(gradient.abs().max()) > 0, "the effect must act on a shaken cloth"
+
+
+def batch_equals_loop(name: str) -> None:
+    """A batch of frames gives what the frames give one by one."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth, (2, 3)), _potential(name, cloth)
+    energy, gradient = potential.gradient(at.x, at.step, at.body)
+    assert energy.shape == (2, 3) and gradient.shape == at.x.shape
+    (_, term, elements), *_ = potential.acting(at.x, at.step, at.body)
+    hessian = term.effect.hessian(elements, term.values)
+    for i in range(2):
+        for j in range(3):
+            one = at.frame(i).frame(j)
+            alone = potential.gradient(one.x, one.step, one.body)
+            _close(energy[i, j], alone[0], f"energy of frame {i, j}", 1e-12)
+            _close(gradient[i, j], alone[1], f"gradient of frame {i, j}", 1e-12)
+            (_, _, single), *_ = potential.acting(one.x, one.step, one.body)
+            wanted = term.effect.hessian(single, term.values)
+            _close(hessian[..., i, j, :].expand_as(wanted), wanted, f"Hessian of frame {i, j}", 1e-12)
+
+
+def single_precision(name: str) -> None:
+    """float32 stays near float64."""
+    cloth = irregular_cloth()
+    at = moment(cloth, (2,))
+    double = _potential(name, cloth).gradient(at.x, at.step, at.body)
+    low = at.to(torch.float32)
+    single = _potential(name, cloth, torch.float32).gradient(low.x, low.step, low.body)
+    _close(single[0].double(), double[0], "energy", 1e-3)
+    _close(single[1].double(), double[1], "gradient", 1e-3)
+
+
+def gradient_is_slope(name: str) -> None:
+    """The gradient, generic and compiled, against central differences of the energy, and through the loss."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth), _potential(name, cloth)
+    _, gradient = potential.gradient(at.x, at.step, at.body)
+    h = 1e-6
+    offset = h * torch.eye(at.x.numel(), dtype=torch.float64).reshape(-1, *at.x.shape)
+    ahead = potential.energies(at.x + offset, *_repeated(at, len(offset)))[name]
+    behind = potential.energies(at.x - offset, *_repeated(at, len(offset)))[name]
+    slope = ((ahead - behind) / (2 * h)).reshape(at.x.shape)
+    _close(gradient, slope, "gradient against differences", 1e-5)
+    (_, term, elements), *_ = potential.acting(at.x, at.step, at.body)
+    values, forces = term.effect.gradient(elements, term.values)
+    _close(values, term.effect.energy(elements, term.values), "energy returned by gradient()", 1e-12)
+    _close(term.scatter(forces).movedim(0, -1), gradient, "gradient() against the compiled loop", 1e-10)
+    x = at.x.clone().requires_grad_(True)
+    (2 * potential.loss(x, at.step, at.body)).backward()
+    assert x.grad is not None
+    _close(x.grad, 2 * gradient, "gradient of the loss", 1e-14)
+
+
+def _repeated(at: Moment, count: int) -> tuple[Step, BodyState]:
+    fields = {k: v.expand(count, *v.shape) for k, v in vars(at.step).items() if k != "dt"}
+    return Step(at.step.dt, **fields), BodyState(**{k: v.expand(count, *v.shape) for k, v in vars(at.body).items()})
+
+
+def hessian_is_slope(name: str) -> None:
+    """The element Hessian against central differences of the element gradient; symmetric."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth), _potential(name, cloth)
+    (_, term, elements), *_ = potential.acting(at.x, at.step, at.body)
+    hessian = term.effect.hessian(elements, term.values)
+    h = 1e-7
+    columns = []
+    for vertex in range(len(elements.x)):
+        for axis in range(3):
+            offset = torch.zeros_like(elements.x)
+            offset[vertex, axis] = h
+            ahead, behind = (
+                term.effect.gradient(replace(elements, x=x), term.values)[1]
+                for x in (elements.x + offset, elements.x - offset)
+            )
+            columns.append((ahead - behind) / (2 * h))
+    slope = torch.stack(columns).reshape(elements.x.shape[:2] + elements.x.shape)
+    scale = float(slope.abs().max())
+    assert float((hessian - slope).abs().max()) <= 1e-5 * scale, (
+        f"Hessian off differences by {float((hessian - slope).abs().max()):g} of {scale:g}"
+    )
+    swapped = hessian.permute(2, 3, 0, 1, *range(4, hessian.dim()))
+    assert float((hessian - swapped).abs().max()) <= 1e-9 * scale, "the Hessian must be symmetric"
+
+
+def projection_is_semidefinite(name: str) -> None:
+    """No projected element Hessian has a negative eigenvalue, and none vanishes where the Hessian is definite."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth), _potential(name, cloth)
+    (_, term, elements), *_ = potential.acting(at.x, at.step, at.body)
+    exact = term.effect.hessian(elements, term.values)
+    size = exact.shape[0] * 3
+    projected = term.effect.projected_hessian(elements, term.values).reshape(size, size, -1).permute(2, 0, 1)
+    exact = exact.reshape(size, size, -1).permute(2, 0, 1)
+    values = torch.linalg.eigvalsh(projected)
+    assert float(values.min()) >= -1e-9 * max(float(values.max()), 1e-300), f"eigenvalue {float(values.min()):g}"
+    largest = torch.linalg.eigvalsh(exact)[:, -1]
+    assert bool((values[:, -1] >= 0.2 * largest).all()), "the projection must keep the stiff directions"
+
+
+def _turned(at: Moment, rotation: Tensor, shift: Tensor) -> Moment:
+    """A moment seen after a rotation and a shift of everything."""
+    step, body = at.step, at.body
+    points = [x @ rotation.T + shift for x in (at.x, step.origin, step.target, step.lagged, body.point, body.anchor)]
+    vectors = [x @ rotation.T for x in (step.lagged_velocity, body.normal, body.velocity)]
+    return Moment(
+        points[0],
+        Step(step.dt, points[1], points[2], points[3], vectors[0]),
+        BodyState(points[4], vectors[1], vectors[2], points[5]),
+    )
+
+
+def same_in_every_frame(name: str) -> None:
+    """Turning and shifting cloth, history and body together changes no energy."""
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    angle = torch.tensor(1.1, dtype=torch.float64)
+    c, s, o, one = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle), torch.ones_like(angle)
+    rotation = torch.stack([c, -s, o, s, c, o, o, o, one]).reshape(3, 3) @ torch.stack(
+        [one, o, o, o, c, s, o, -s, c]
+    ).reshape(3, 3)
+    shift = torch.tensor((0.3, -0.2, 0.5), dtype=torch.float64)
+    before, after = _energy(name, cloth, at), _energy(name, cloth, _turned(at, rotation, shift))
+    assert abs(after - before) <= 1e-9 * abs(before), f"energy {before:g} J became {after:g} J"
+
+
+def no_net_force(name: str) -> None:
+    """An internal effect exerts no net force and no net torque."""
+    if not find_effect(name).internal:
+        return
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    _, gradient = _potential(name, cloth).gradient(at.x, at.step, at.body)
+    force, torque = gradient.sum(0), torch.linalg.cross(at.x, gradient).sum(0)
+    size = float(gradient.abs().sum())
+    assert float(force.abs().max()) <= 1e-12 * size, f"net force {force.tolist()} N"
+    assert float(torque.abs().max()) <= 1e-12 * size, f"net torque {torque.tolist()} N m"
+
+
+def rests_at_rest(name: str) -> None:
+    """An internal effect has neither energy nor force where the cloth lies as its template, even a folded one."""
+    if not find_effect(name).internal:
+        return
+    for cloth in (flat_cloth(), pleated_cloth()):
+        x = torch.as_tensor(cloth.vertices)
+        at = moment(cloth)
+        still = Step.implicit_euler(DT, x, x)
+        potential = _potential(name, cloth)
+        stirred = potential.gradient(at.x, at.step, at.body)
+        energy, gradient = potential.gradient(x, still, at.body)
+        assert abs(float(energy)) <= 1e-12 * float(stirred[0]), f"rest energy {float(energy):g} J"
+        assert float(gradient.abs().max()) <= 1e-10 * float(stirred[1].abs().max()), "there must be no force at rest"
+
+
+UNITS = {"kg": (1, 0, 0), "m": (0, 1, 0), "s": (0, 0, 1), "N": (1, 1, -2), "J": (1, 2, -2), "Pa": (1, -1, -2)}
+
+
+def dimensions(unit: str) -> tuple[int, int, int]:
+    """Powers of (kg, m, s) of a unit such as ``N s/m^3``; ``1`` and ``rad`` have none."""
+    total = np.zeros(3, int)
+    for sign, part in zip((1, -1), unit.split("/"), strict=False):
+        for symbol, power in re.findall(r"([A-Za-z]+)(?:\^(\d+))?", part):
+            if symbol != "rad":
+                total += sign * np.array(UNITS[symbol]) * int(power or 1)
+    kilogram, metre, second = total.tolist()
+    return kilogram, metre, second
+
+
+def units_fit(name: str) -> None:
+    """Measured in other units of mass, length and time, the energy is the same energy."""
+    mass, length, time = 3.0, 2.0, 0.5
+    cloth, effect = irregular_cloth(), find_effect(name)
+    at = moment(cloth)
+
+    def factor(unit: str) -> float:
+        powers = dimensions(unit)
+        return mass ** powers[0] * length ** powers[1] * time ** powers[2]
+
+    def scaled(owner: Effect) -> ParameterValues:
+        return {key: np.asarray(p.default) * factor(p.unit) for key, p in owner.parameters.items()}
+
+    step, body = at.step, at.body
+    speed = length / time
+    other = Moment(
+        length * at.x,
+        Step(
+            time * step.dt,
+            length * step.origin,
+            length * step.target,
+            length * step.lagged,
+            speed * step.lagged_velocity,
+        ),
+        BodyState(length * body.point, body.normal, speed * body.velocity, length * body.anchor),
+    )
+    scaled_cloth = Cloth(
+        length * cloth.vertices,
+        cloth.faces,
+        length * cloth.material,
+        cloth.density * factor("kg/m^2"),
+        length * cloth.layer_thickness,
+        cloth.attached,
+    )
+    potential = _potential(name, scaled_cloth)
+    values = {key: torch.as_tensor(value) for key, value in scaled(effect).items()}
+    for owner in effect.borrows:
+        values |= {f"{owner}.{key}": torch.as_tensor(v) for key, v in scaled(find_effect(owner)).items()}
+    term = replace(potential.terms[name], values=values)
+    got = float(term.effect.energy(potential.elements(term, other.x, other.step, other.body), values).sum())
+    wanted = _energy(name, cloth, at) * factor("J")
+    assert abs(got - wanted) <= 1e-9 * abs(wanted), f"energy is {got / wanted:g} times what its units say"
+
+
+def refinement_converges(name: str) -> None:
+    """On ever finer meshes of the same cloth in the same smooth motion, the energy settles."""
+    energies = []
+    for fineness in (2, 4, 8):
+        cloth = flat_cloth(6 * fineness, 5 * fineness)
+        x = torch.as_tensor(cloth.vertices)
+        u, v = x[:, 0] / 0.12, x[:, 1] / 0.1
+
+        def field(phase: float, u: Tensor = u, v: Tensor = v) -> Tensor:
+            return torch.stack(
+                [torch.sin(3 * u + phase), torch.cos(2 * v - phase), torch.sin(4 * u + 3 * v + phase)], 1
+            )
+
+        previous, before = x + 0.003 * field(0.3), x + 0.003 * field(0.1)
+        normal = torch.nn.functional.normalize(field(1.0) * 0.3 + torch.tensor((0.0, 0.0, 1.0)), dim=-1)
+        velocity = 0.2 * field(2.0)
+        body = BodyState(previous + DT * velocity - 0.003 * normal, normal, velocity, x + 0.002 * field(1.5))
+        at = Moment(x + 0.003 * field(0.5), Step.implicit_euler(DT, previous, before), body)
+        energies.append(_energy(name, cloth, at))
+    coarse, middle, fine = energies
+    assert abs(fine - middle) <= 0.6 * abs(middle - coarse) + 1e-6 * abs(fine), f"energies {energies} J do not settle"
+    assert abs(fine - middle) <= 0.1 * abs(fine), f"energies {energies} J are far from settled"
+
+
+def parameters_matter(name: str) -> None:
+    """Every parameter changes the energy; those called linear do so linearly."""
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    for key, parameter in find_effect(name).parameters.items():
+        default = np.asarray(parameter.default, dtype=float)
+        values = [np.clip(default * share, parameter.lower, parameter.upper) for share in (0.8, 1.0, 1.2)]
+        low, middle, high = (_energy(name, cloth, at, **{key: value}) for value in values)
+        change = abs(high - low)
+        assert change > 1e-9 * abs(middle), f"{key} must change the energy"
+        if parameter.linear:
+            assert abs(low + high - 2 * middle) <= 1e-9 * abs(middle), f"{key} is called linear but is not"
+
+
+def parameters_are_guarded(name: str) -> None:
+    """Defaults lie within bounds, values outside are refused, and a saved model comes back the same."""
+    effect = find_effect(name)
+    others = {other: {} for other in effect.borrows}
+    model = Model(0.2, others | {name: {}})
+    again = Model.from_json(model.to_json())
+    for key, parameter in effect.parameters.items():
+        assert np.array_equal(again.effects[name][key], model.effects[name][key]), f"{key} changed when saved"
+        default = np.asarray(parameter.default, dtype=float)
+        for bad in (parameter.lower - 1, parameter.upper + 1, np.nan):
+            if np.isinf(bad):
+                continue
+            try:
+                Model(0.2, others | {name: {key: np.full_like(default, bad)}})
+            except CaphyError as error:
+                assert key in str(error), f"the message must name {key}"
+            else:
+                raise AssertionError(f"{key} = {bad} must be refused")
+
+
+def degenerate_is_finite(name: str) -> None:
+    """Triangles without area and edges without length give finite energies, gradients and Hessians."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth), _potential(name, cloth)
+    collapsed = at.x.clone()
+    collapsed[cloth.faces[::3, 1]] = collapsed[cloth.faces[::3, 0]]
+    flattened = at.x * torch.tensor((1.0, 0.0, 0.0), dtype=torch.float64)
+    for x in (collapsed, flattened, torch.zeros_like(at.x)):
+        lagged = replace(at.step, lagged=x)
+        energy, gradient = potential.gradient(x, lagged, at.body)
+        (_, term, elements), *_ = potential.acting(x, lagged, at.body)
+        parts = (energy, gradient, term.effect.hessian(elements, term.values))
+        parts += (term.effect.projected_hessian(elements, term.values), *term.effect.gradient(elements, term.values))
+        assert all(bool(part.isfinite().all()) for part in parts), "degenerate triangles must give finite numbers"
+
+
+def left_out_in_statics(name: str) -> None:
+    """Without a step or a body, an effect that needs one is left out instead of failing."""
+    effect, cloth = find_effect(name), irregular_cloth()
+    at, potential = moment(cloth), _potential(name, cloth)
+    assert (name in potential.energies(at.x, None, at.body)) == (not effect.needs_step)
+    assert (name in potential.energies(at.x, at.step, None)) == (not effect.needs_body)
+
+
+CHECKS: tuple[Callable[[str], None], ...] = (
+    documented,
+    finite,
+    batch_equals_loop,
+    single_precision,
+    gradient_is_slope,
+    hessian_is_slope,
+    projection_is_semidefinite,
+    same_in_every_frame,
+    no_net_force,
+    rests_at_rest,
+    units_fit,
+    refinement_converges,
+    parameters_matter,
+    parameters_are_guarded,
+    degenerate_is_finite,
+    left_out_in_statics,
+)
+"""All properties, each a function of an effect's registered name."""
