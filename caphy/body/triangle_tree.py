@@ -1,4 +1,3 @@
-# ruff: noqa: PLR0917  (compiled functions take plain arrays, not objects)
 """Compiled kernels: a bounding-volume tree over triangles, refitted to moving vertices, and exact nearest points.
 
 The tree is a complete binary heap (node k has children 2k and 2k + 1, the root is 1), split once at the median of the

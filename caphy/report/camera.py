@@ -64,8 +64,8 @@ class Camera:
         x = (2 * np.arange(width) + 1 - width) * half
         y = (height - 1 - 2 * np.arange(height)) * half
         directions = forward + x[None, :, None] * right + y[:, None, None] * up
-        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return directions.reshape(-1, 3)
+        directions = directions.reshape(-1, 3)
+        return directions / np.sqrt(np.einsum("nc,nc->n", directions, directions))[:, None]
 
 
 def _unit(vector: Sequence[float] | np.ndarray) -> np.ndarray:

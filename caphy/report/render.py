@@ -68,7 +68,8 @@ def render(
     hit, colour = scene.shade(camera.eye, rays, light / np.linalg.norm(light), shadows)
     pixels = np.tile(np.asarray(BACKGROUND, dtype=np.float32), (len(rays), 1))
     pixels[hit] = colour
-    pixels = pixels.reshape(height, _SAMPLES, width, _SAMPLES, 3).mean(axis=(1, 3))
+    samples = pixels.reshape(height, _SAMPLES, width, _SAMPLES, 3)
+    pixels = np.einsum("hiwjc->hwc", samples) / _SAMPLES**2
     return np.rint(255 * pixels.clip(0, 1)).astype(np.uint8)
 
 
@@ -94,22 +95,27 @@ class _Scene:
         hit = np.flatnonzero(found["primID"] >= 0)
         corners = self.faces[found["primID"][hit]]
         u, v = found["u"][hit], found["v"][hit]
-        weights = np.stack([1 - u - v, u, v], axis=-1).astype(np.float32)[..., None]
-        normals = (self.normals[corners] * weights).sum(axis=1)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
-        away = np.sum(normals * rays[hit], axis=-1) > 0  # the inside of cloth is lit like its outside
-        normals[away] *= -1
+        weights = np.stack([1 - u - v, u, v]).astype(np.float32)
+        normals = _interpolated(self.normals, corners, weights)
+        normals /= np.sqrt(np.einsum("hc,hc->h", normals, normals))[:, None] + 1e-12
+        facing = -np.einsum("hc,hc->h", normals, rays[hit])
+        normals[facing < 0] *= -1  # the inside of cloth is lit like its outside
         lit = np.maximum(normals @ light, 0)
         if shadows:
             lit *= 1 - _SHADOW * self._shadowed(eye + rays[hit] * found["tfar"][hit, None], normals, light)
-        fill = 0.5 + 0.5 * np.abs(np.sum(normals * rays[hit], axis=-1))  # edges a little darker than middles
+        fill = 0.5 + 0.5 * np.abs(facing)  # edges a little darker than middles
         shade = _AMBIENT * fill + (1 - _AMBIENT) * lit
-        return hit, (self.colours[corners] * weights).sum(axis=1) * shade[:, None].astype(np.float32) * 1.15
+        return hit, _interpolated(self.colours, corners, weights) * shade[:, None].astype(np.float32) * 1.15
 
     def _shadowed(self, points: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         origins = (points + 2e-3 * normals).astype(np.float32)
         towards = np.broadcast_to(light.astype(np.float32), origins.shape)
         return self._embree.run(origins, np.ascontiguousarray(towards), query="OCCLUDED") == 0
+
+
+def _interpolated(values: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Vertex values (V, 3) at hits with corners (H, 3) and weights (3, H)."""
+    return np.einsum("kh,hkc->hc", weights, values[corners])
 
 
 def _embree_scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
@@ -135,7 +141,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _floor(points: np.ndarray, height: float) -> Shape:
     low, high = points.min(axis=0), points.max(axis=0)
-    centre, reach = (low + high) / 2, 1.5 * max(high[0] - low[0], high[2] - low[2])
+    centre, reach = (low + high) / 2, 8 * max(high[0] - low[0], high[2] - low[2])
     corners = np.array([[-1, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]], dtype=np.float64) * reach
     corners += [centre[0], height, centre[2]]
     return Shape(corners, np.array([[0, 1, 2], [0, 2, 3]]), (0.88, 0.88, 0.90))
