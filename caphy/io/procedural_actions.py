@@ -98,7 +98,7 @@ def raise_arms(time: np.ndarray, rng: np.random.Generator) -> Action:
 
 def squat(time: np.ndarray, rng: np.random.Generator) -> Action:
     """Down and up again with the arms ahead for balance."""
-    return Action(_crouched(stand(time), _plateau(time) * rng.uniform(0.6, 1.0)))
+    return Action(_crouched(stand(time), _plateau(time) * rng.uniform(0.8, 1.0)))
 
 
 def jump(time: np.ndarray, rng: np.random.Generator) -> Action:

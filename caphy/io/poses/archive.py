@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +15,23 @@ class Archive:
     def __init__(self, path: Path):
         self.path = Path(path)
         try:
-            with np.load(self.path, allow_pickle=False) as file:
-                self._names = set(file.files)
+            file = np.load(self.path, allow_pickle=False)
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise CaphyError(f"{path}: must be an .npz archive of named arrays, got a single array")
+            with file:
                 self._arrays = {name: _read(file, name) for name in file.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        except CaphyError:
+            raise
+        except Exception as error:  # a damaged archive can fail anywhere in zipfile, zlib or NumPy's headers
             raise CaphyError(f"{path}: not a readable .npz archive, perhaps cut short: {error}") from error
-        except AttributeError as error:  # a bare .npy array has no names
-            raise CaphyError(f"{path}: must be an .npz archive of named arrays") from error
 
     def __contains__(self, name: str) -> bool:
-        return name in self._names
+        return name in self._arrays
 
     @property
     def names(self) -> list[str]:
         """The arrays' names in alphabetical order."""
-        return sorted(self._names)
+        return sorted(self._arrays)
 
     def require(self, *names: str) -> None:
         """Raise :class:`CaphyError` unless every one of ``names`` is in the archive."""
