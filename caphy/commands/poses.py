@@ -63,7 +63,7 @@ class Render:
     """Pose files of any format caphy reads."""
     source: tyro.conf.OmitArgPrefixes[Source]
     out: Path = Path("poses.png")
-    """The PNG to write, one row per file."""
+    """The PNG to write, one row per file; times are counted from the row's first frame."""
     frames: int = 8
     """Frames per row, evenly spaced in time."""
     size: int = 240
@@ -140,7 +140,7 @@ def _render(command: Render) -> None:
         sequence = command.source.read(path)
         at = np.linspace(0, len(sequence) - 1, command.frames).round().astype(int)
         images += [_picture(sequence, frame, command) for frame in at]
-        labels += [f"{path.stem[:24]} {frame / sequence.fps:.2f} s" for frame in at]
+        labels += [path.stem[: command.size // 9], *(f"{frame / sequence.fps:.2f} s" for frame in at[1:])]
     print(write_png(contact_sheet(images, command.frames, labels), command.out))
 
 
