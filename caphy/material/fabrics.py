@@ -86,9 +86,9 @@ def bending_stiffness(table: np.ndarray, angle: np.ndarray, curvature: np.ndarra
     degrees) and columns (0, 5, 10, 15, 20 1/m), constant beyond 20 1/m, never negative.
     """
     folded = np.abs((np.asarray(angle) + np.pi / 2) % np.pi - np.pi / 2)
-    row = np.clip(folded / (np.pi / 4), 0, 2 - 1e-6)
-    column = np.clip(np.abs(curvature) / BEND_SPACING, 0, 4 - 1e-6)
-    i, j = row.astype(int), column.astype(int)
+    row = np.clip(folded / (np.pi / 4), 0, 2)
+    column = np.clip(np.abs(curvature) / BEND_SPACING, 0, 4)
+    i, j = np.minimum(row.astype(int), 1), np.minimum(column.astype(int), 3)
     s, t = row - i, column - j
     left, right = (1 - s) * table[i, j] + s * table[i + 1, j], (1 - s) * table[i, j + 1] + s * table[i + 1, j + 1]
     return np.maximum((1 - t) * left + t * right, 0)

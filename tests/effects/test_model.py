@@ -1,0 +1,72 @@
+"""A model checks what it is given, in words a user can act on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from caphy.effects.model import Model
+from caphy.effects.presets import fabric_model, snug_model
+from caphy.errors import CaphyError
+from caphy.material.fabrics import fabric, fabric_names
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ({"strain_stvk": {"mu": 1.0}}, "strain_stvk has no parameter 'mu'; it has: lame_lambda, lame_mu"),
+        ({"strain_stvk": {"lame_mu": -1.0}}, r"lame_mu must lie in \[0, 100000\] N/m, got -1"),
+        ({"gravity": {"acceleration": 9.81}}, r"acceleration must have shape \(3,\), got \(\)"),
+        ({"body_friction": {}}, "body_friction needs body_contact in the same model"),
+        ({"nothing": {}}, "there is no effect 'nothing'"),
+    ],
+)
+def test_wrong_values_are_refused(effects: dict[str, Any], message: str) -> None:
+    with pytest.raises(CaphyError, match=message):
+        Model(0.2, effects)
+
+
+@pytest.mark.parametrize("density", [0.0, -1.0, float("nan")])
+def test_density_must_be_positive(density: float) -> None:
+    with pytest.raises(CaphyError, match="density must be positive"):
+        Model(density)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"density_kg_per_m2": 0.2, "effects": {"gravity": 3}}'])
+def test_a_broken_file_is_named(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "model.json"
+    path.write_text(text)
+    with pytest.raises(CaphyError, match=r"model\.json"):
+        Model.load(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(CaphyError, match="cannot be read"):
+        Model.load(tmp_path / "none.json")
+
+
+def test_effects_are_added_and_taken_away() -> None:
+    model = snug_model().with_effect("air_drag_normal", coefficient=3.0)
+    assert model.effects["air_drag_normal"]["coefficient"] == 3.0
+    assert "air_drag_normal" not in model.without_effect("air_drag_normal").effects
+
+
+def test_snug_cotton_has_its_published_figures() -> None:
+    """To the three digits that are printed."""
+    model = snug_model()
+    assert model.density == pytest.approx(0.2002, abs=1e-4)
+    young, poisson, thickness = 0.7e5, 0.485, 0.47e-3
+    lame_mu = young / (2 * (1 + poisson)) * thickness
+    assert model.effects["strain_stvk"]["lame_mu"] == pytest.approx(lame_mu, abs=0.05)
+    plane = young * poisson / (1 - poisson**2) * thickness  # plane stress
+    assert model.effects["strain_stvk"]["lame_lambda"] == pytest.approx(plane, abs=0.05)
+
+
+@pytest.mark.parametrize("name", fabric_names())
+def test_fabric_models_carry_the_measurement(name: str) -> None:
+    model, measured = fabric_model(name), fabric(name)
+    assert model.density == measured.density
+    assert (model.effects["strain_measured"]["stretching"] == measured.stretching).all()
+    assert (model.effects["bending_measured"]["bending"] == measured.bending).all()

@@ -1,0 +1,111 @@
+"""The sum of the effects: shapes, threads, devices, and what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from caphy.effects import potential as potential_module
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.effects.presets import fabric_model, snug_model
+from caphy.effects.trial import flat_cloth, irregular_cloth, moment, pleated_cloth
+
+
+@pytest.mark.parametrize("model", [snug_model(), fabric_model("gray-interlock")], ids=["snug", "measured"])
+def test_compiled_loops_say_what_the_closed_forms_say(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth, (4,))
+    potential = Potential(model, cloth)
+    compiled = potential.gradient(at.x, at.step, at.body)
+    monkeypatch.setattr(potential_module, "KERNELS", {})
+    torch.testing.assert_close(compiled, potential.gradient(at.x, at.step, at.body), rtol=1e-11, atol=1e-14)
+
+
+def test_the_total_is_the_sum_of_its_effects() -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth, (2,))
+    potential = Potential(snug_model(), cloth)
+    energy, _ = potential.gradient(at.x, at.step, at.body)
+    torch.testing.assert_close(energy, torch.stack(list(potential.energies(at.x, at.step, at.body).values())).sum(0))
+
+
+def test_the_number_of_threads_changes_nothing() -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth, (5,))
+    potential, threads = Potential(snug_model(), cloth), torch.get_num_threads()
+    try:
+        results = []
+        for count in (1, 2, 3):
+            torch.set_num_threads(count)
+            results.append(potential.gradient(at.x, at.step, at.body))
+    finally:
+        torch.set_num_threads(threads)
+    for result in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(result, results[0], strict=True))
+
+
+def test_the_loss_weighs_frames_and_detaches_history() -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth, (3,))
+    potential = Potential(snug_model(), cloth)
+    x = at.x.clone().requires_grad_(True)
+    previous = at.step.origin.clone().requires_grad_(True)
+    weights = torch.tensor([1.0, 0.0, -2.0], dtype=torch.float64)
+    step = type(at.step).implicit_euler(at.step.dt, previous, at.step.lagged)
+    (weights * potential.loss(x, step, at.body)).sum().backward()
+    _, gradient = potential.gradient(at.x, step, at.body)
+    torch.testing.assert_close(x.grad, weights[:, None, None] * gradient)
+    assert previous.grad is None
+
+
+def test_missing_numbers_are_passed_on() -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    at.x[3, 1] = torch.nan
+    for model in (snug_model(), fabric_model("gray-interlock")):
+        energy, gradient = Potential(model, cloth).gradient(at.x, at.step, at.body)
+        assert bool(energy.isnan()) and bool(gradient[3].isnan().any())
+
+
+def test_positions_of_another_cloth_or_precision_are_refused() -> None:
+    potential = Potential(snug_model(), flat_cloth())
+    with pytest.raises(ValueError, match=r"positions must be \(\.\.\., 42, 3\) torch.float64"):
+        potential.gradient(torch.zeros(43, 3, dtype=torch.float64))
+    with pytest.raises(ValueError, match=r"got \(42, 3\) torch.float32"):
+        potential.gradient(torch.zeros(42, 3))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_cuda_device_gives_the_same() -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth, (2,)).to(torch.float32)
+    here = Potential(snug_model(), cloth, torch.float32).gradient(at.x, at.step, at.body)
+    there = Potential(snug_model(), cloth, torch.float32, "cuda")
+    step = type(at.step)(at.step.dt, *(v.cuda() for k, v in vars(at.step).items() if k != "dt"))
+    body = type(at.body)(*(v.cuda() for v in vars(at.body).values()))
+    for mine, theirs in zip(here, there.gradient(at.x.cuda(), step, body), strict=True):
+        torch.testing.assert_close(theirs.cpu(), mine, rtol=1e-4, atol=1e-6)
+
+
+def test_a_cloth_without_attachment_is_left_alone() -> None:
+    cloth = flat_cloth()
+    free = Cloth(cloth.vertices, cloth.faces, cloth.material, 0.2, cloth.layer_thickness, np.zeros(len(cloth.vertices)))
+    at = moment(free, (2,))
+    potential = Potential(Model(0.2, {"attachment": {}}), free)
+    energy, gradient = potential.gradient(at.x, at.step, at.body)
+    assert float(energy.abs().max()) == 0 and float(gradient.abs().max()) == 0
+    ((_, term, elements),) = potential.acting(at.x, at.step, at.body)
+    assert term.effect.projected_hessian(elements, term.values).shape[-1] == 0
+
+
+@pytest.mark.parametrize("cloth", [flat_cloth(), pleated_cloth(), irregular_cloth()])
+def test_rest_measures_of_a_cloth(cloth: Cloth) -> None:
+    assert cloth.mass.sum() == pytest.approx(cloth.density * cloth.face_area.sum())
+    lengths = np.linalg.norm(cloth.hinge_edges, axis=-1)
+    np.testing.assert_allclose(lengths[:, 0], lengths[:, 1], rtol=1e-9)
+    a, b, c = np.moveaxis(cloth.material, 1, 0)
+    edges = np.stack([b - a, c - a], -1)
+    np.testing.assert_allclose(edges @ cloth.face_inverse, np.broadcast_to(np.eye(2), edges.shape), atol=1e-9)

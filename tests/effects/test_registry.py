@@ -1,0 +1,89 @@
+"""A user's own effect file is a first-class citizen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from caphy.effects import registry
+from caphy.effects.battery import CHECKS
+from caphy.effects.model import Model
+from caphy.effects.registry import find_effect, register_file, registered_effects
+from caphy.errors import CaphyError
+
+WIND = '''
+"""Wind that pulls every piece of cloth along."""
+
+from caphy.effects.base import Effect, Parameter
+from caphy.effects.vectors import dot
+
+
+class MyWind(Effect):
+    """Drag towards a uniform wind, E = dt c a / 2 |v - w|^2 [J] per vertex."""
+
+    name = "my_wind"
+    element = "vertex"
+    parameters = {
+        "coefficient": Parameter(0.5, "N s/m^3", 0.0, 100.0, doc="pull per area and speed"),
+        "wind": Parameter((1.0, 0.0, 0.5), "m/s", -50.0, 50.0, linear=False, doc="velocity of the air"),
+    }
+    reference = "a user's own"
+    needs_step = True
+
+    def rest(self, cloth):
+        return {"area": cloth.vertex_area}
+
+    def energy(self, e, p):
+        (v,) = e.velocity
+        slip = v - p["wind"].reshape(3, *(1,) * (v.dim() - 1))
+        return 0.5 * e.dt * p["coefficient"] * e.rest["area"] * dot(slip, slip)
+'''
+
+
+@pytest.fixture
+def wind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setattr(registry, "_from_files", {})
+    path = tmp_path / "my_wind.py"
+    path.write_text(WIND)
+    assert register_file(path) == ["my_wind"]
+    return "my_wind"
+
+
+def test_a_users_effect_passes_the_battery_on_its_energy_alone(wind: str) -> None:
+    for check in CHECKS:
+        if check.__name__ == "same_in_every_frame":
+            with pytest.raises(AssertionError):  # the wind blows in a direction of the world
+                check(wind)
+        else:
+            check(wind)
+
+
+def test_a_users_effect_is_listed_and_modelled(wind: str) -> None:
+    assert wind in registered_effects()
+    assert Model(0.2, {wind: {"coefficient": 2.0}}).effects[wind]["coefficient"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = 1", "defines no subclass"),
+        ("import nowhere_at_all", "cannot be imported: ModuleNotFoundError"),
+        ("def broken(:", "cannot be imported: SyntaxError"),
+    ],
+)
+def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "effect.py"
+    path.write_text(text)
+    with pytest.raises(CaphyError, match=message):
+        register_file(path)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaphyError, match=r"existing \.py file"):
+        register_file(tmp_path / "none.py")
+
+
+def test_an_unknown_effect_is_refused_with_the_known_names() -> None:
+    with pytest.raises(CaphyError, match="no effect 'windd'; known: air_drag_normal"):
+        find_effect("windd")
