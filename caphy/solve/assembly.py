@@ -7,8 +7,8 @@ import torch
 from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
-from caphy.effects.base import BodyState, Step
-from caphy.effects.potential import Potential
+from caphy.effects.base import BodyState, Elements, Step
+from caphy.effects.potential import Potential, Term
 from caphy.solve.factorize import Factor, Symbolic
 from caphy.solve.ordering import dissect
 
@@ -46,14 +46,17 @@ class Hessian:
         self._row, self._column, self._scalar_rank = row, column, _scalar_rank(rank)
 
     def values(
-        self, x: Tensor, step: Step | None = None, body: BodyState | None = None, projected: bool = True
+        self, x: Tensor, step: Step | None = None, body: BodyState | None = None, projection: float = 1.0
     ) -> np.ndarray:
-        """Stored entries (N,) [N/m] at positions (V, 3) [m]; ``projected`` makes every element semi-definite."""
+        """Stored entries (N,) [N/m] at positions (V, 3) [m].
+
+        With ``projection`` 1 every element is positive semi-definite, with 0 all are exact. In between faces, whose
+        compression is what makes a Hessian indefinite, are mixed and the rest is projected.
+        """
         values = np.zeros(self._size + 1)
         for name, term, elements in self.potential.acting(x, step, body):
-            hessian = term.effect.projected_hessian if projected else term.effect.hessian
-            blocks = hessian(elements, term.values).to(torch.float64).contiguous().cpu().numpy().reshape(-1)
-            values += np.bincount(self._slots[name], blocks, self._size + 1)
+            blocks = _element_hessian(term, elements, projection).to(torch.float64).contiguous().cpu().numpy()
+            values += np.bincount(self._slots[name], blocks.reshape(-1), self._size + 1)
         values = values[:-1]
         values[self._cleared] = 0
         values[self._held] = 1
@@ -77,6 +80,16 @@ class Hessian:
         below = coo_array((values, (row, column)), (size, size)).tocsr()
         off = self._row != self._column
         return below + coo_array((values[off], (column[off], row[off])), (size, size)).tocsr()
+
+
+def _element_hessian(term: Term, elements: Elements, projection: float) -> Tensor:
+    """Element Hessians (k, 3, k, 3, n) [N/m], projected as :meth:`Hessian.values` says."""
+    if projection == 0:
+        return term.effect.hessian(elements, term.values)
+    projected = term.effect.projected_hessian(elements, term.values)
+    if projection == 1 or term.effect.element != "face":
+        return projected
+    return torch.lerp(term.effect.hessian(elements, term.values), projected, projection)
 
 
 def _pattern(indices: list[np.ndarray], count: int) -> csr_array:

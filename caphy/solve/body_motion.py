@@ -117,11 +117,14 @@ class BodyMotion:
 
         The body's velocity is its displacement over the last ``dt`` seconds, as implicit Euler sees velocities.
         """
-        found = self.nearest(time, x)
+        return self.seen(self.nearest(time, x), time, dt)
+
+    def seen(self, found: NearestPoints, time: float, dt: float) -> BodyState:
+        """:meth:`state` for nearest points (V,) found already."""
         before = self.vertices(np.array([time - dt]))[0][self.body.faces[found.face]]
         velocity = (found.point - np.einsum("vk,vkc->vc", found.barycentric, before)) / dt
-        anchor = self._anchor(time)
-        return BodyState(*(torch.from_numpy(field) for field in (found.point, found.normal, velocity, anchor)))
+        fields = (found.point, found.normal, velocity, self._anchor(time))
+        return BodyState(*(torch.from_numpy(field) for field in fields))
 
     def states(self, times: np.ndarray, x: np.ndarray, dt: float) -> tuple[BodyState, np.ndarray]:
         """:meth:`state` at several times (N,) [s] for positions x (N, V, 3) [m], and the nearest faces (N, V)."""

@@ -23,9 +23,13 @@ SAFE_TRAVEL = 0.01
 
 _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 _HALVINGS = 30
+_SLOW = 0.5  # fall of the residual in one iteration that counts as slow
 
 Body = Callable[[Tensor], BodyState]
 """What positions (V, 3) [m] see of the body at the time of the step."""
+
+_STILL = 1e-3  # vertices that move less than this [m] in an iteration keep their contact planes
+_RENEWALS = 2
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,38 @@ class _Point:
     @property
     def residual(self) -> float:
         return float(np.abs(self.gradient).max())
+
+
+class _Planes:
+    """The contact planes of one minimisation: found anew for every trial state, then kept while cloth settles.
+
+    The distance to a body has creases where two surfaces are equally near, as in an armpit or along the concave edges
+    of its mesh. The minimum of a penalty likes to lie right on a crease, where its gradient jumps and no method that
+    looks for zero gradient can settle. Once no vertex moves by a millimetre its contact plane is therefore kept, and
+    renewed a few times at convergence: vertices off the creases meet the tolerance with their true planes, vertices
+    on a crease rest on one of its two sides.
+    """
+
+    def __init__(self, body: Body | None) -> None:
+        self._body, self._kept, self._renewals = body, None, 0
+
+    @property
+    def view(self) -> Body | None:
+        """The body as it is to be seen now."""
+        kept = self._kept
+        return self._body if kept is None else lambda x: kept
+
+    def moved(self, here: _Point, there: _Point) -> None:
+        """Take note of a step; keep the planes if it was a small one."""
+        if self._body is not None and self._kept is None and float((there.x - here.x).abs().max()) < _STILL:
+            self._kept = there.body
+
+    def settled(self, x: Tensor) -> bool:
+        """Whether convergence is final; if not, the planes at positions x (V, 3) are to be seen from now on."""
+        if self._kept is None or self._body is None or self._renewals == _RENEWALS:
+            return True
+        self._kept, self._renewals = self._body(x), self._renewals + 1
+        return False
 
 
 class Newton:
@@ -98,17 +134,24 @@ class Newton:
         here = self._evaluate(guess, step, body)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise CaphyError("the state to start from must be finite, with finite energy; check pose and garment")
+        planes = _Planes(body)
+        slow = False
         for iteration in range(self.max_iterations):
             if here.residual <= self.tolerance:
-                return here.x, Report(True, iteration, here.residual, "converged")
-            direction, damping = self._direction(here, step, damping)
-            there, fraction = self._search(here, direction, step, body)
+                if planes.settled(here.x):
+                    return here.x, Report(True, iteration, here.residual, "converged")
+                here = self._evaluate(here.x, step, planes.view)
+                continue
+            direction, damping = self._direction(here, step, damping, slow)
+            there, fraction = self._search(here, direction, step, planes.view)
             if there is None:
                 if damping > 1e12:
                     return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
                 damping = max(100 * damping, 1.0)
                 continue
             damping = damping / 4 if fraction == 1 else damping
+            slow = there.residual > _SLOW * here.residual
+            planes.moved(here, there)
             here = there
         converged = here.residual <= self.tolerance
         reason = "converged" if converged else f"stopped after {self.max_iterations} iterations"
@@ -120,7 +163,7 @@ class Newton:
         Exact where it is positive definite (as at a proper minimum), projected otherwise or if asked for.
         """
         state = None if body is None else body(x)
-        factor = None if projected else self.hessian.factorize(self.hessian.values(x, step, state, projected=False))
+        factor = None if projected else self.hessian.factorize(self.hessian.values(x, step, state, projection=0))
         values = None if factor is not None else self.hessian.values(x, step, state)
         return factor if values is None else self._damped(values, 0.0)[0]
 
@@ -130,9 +173,16 @@ class Newton:
         forces = gradient.numpy()
         return _Point(x, state, float(energy), forces if self._free is None else forces * self._free)
 
-    def _direction(self, here: _Point, step: Step | None, damping: float) -> tuple[np.ndarray, float]:
-        values = self.hessian.values(here.x, step, here.body)
-        factor, damping = self._damped(values, damping)
+    def _direction(self, here: _Point, step: Step | None, damping: float, slow: bool) -> tuple[np.ndarray, float]:
+        """The Newton direction (V, 3) [m] and the damping it needed.
+
+        Projection makes buckling cloth stiffer than it is and progress slow; then half of it is tried first.
+        """
+        if slow:
+            factor = self.hessian.factorize(self.hessian.values(here.x, step, here.body, projection=0.5))
+            if factor is not None:
+                return -factor.solve(here.gradient), damping
+        factor, damping = self._damped(self.hessian.values(here.x, step, here.body), damping)
         return -factor.solve(here.gradient), damping
 
     def _damped(self, values: np.ndarray, damping: float) -> tuple[Factor, float]:
