@@ -46,6 +46,8 @@ def test_joints_stay_within_their_limits(seed):
         for axis, (low, high) in enumerate(ranges):
             seen = (angles[:, joint] * mirror)[:, axis]
             assert low - 1e-6 <= seen.min() <= seen.max() <= high + 1e-6, (name, axis)
+    for side, sign in (("left", -1), ("right", 1)):  # both sides move: limits are mirrored, not shared
+        assert (sign * angles[:, JOINT_NAMES.index(f"{side}_elbow"), 1]).max() > 30
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -9,9 +9,10 @@ from cmu_skeleton import BONES, bvh_text, random_angles, root_path
 from caphy.body.bundled import default_body
 from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
-from caphy.io.poses import read_poses
+from caphy.io.poses import PoseSequence, placed_on, read_poses
 from caphy.io.poses.bvh import read_bvh
 from caphy.io.poses.cmu import without_calibration_frame
+from caphy.io.procedural import procedural_motion
 from caphy.io.retarget import retarget
 from caphy.io.retarget_names import cmu_joints
 from caphy.io.retarget_rest import default_rest, rest_of
@@ -54,6 +55,18 @@ def test_limbs_of_a_made_clip_point_as_the_source(tmp_path, max_names):
     (tmp_path / "a.bvh").write_text(bvh_text(angles, root_path(8), max_names=max_names))
     motion = read_bvh(tmp_path / "a.bvh")
     assert max(limb_errors(motion, retarget(motion, default_rest())).values()) < 1e-3
+
+
+def test_the_hips_follow_the_source(tmp_path):
+    """Their midpoint travels as the source's does over ground, scaled by the ratio of leg lengths."""
+    (tmp_path / "a.bvh").write_text(bvh_text(random_angles(np.random.default_rng(5), 8, 50.0), root_path(8)))
+    motion = read_bvh(tmp_path / "a.bvh")
+    bones, (_, source) = cmu_joints(motion), motion.world()
+    joints = joints_of(retarget(motion, default_rest()))
+    length = np.linalg.norm(np.diff(default_rest().joints[[1, 4, 7]], axis=0), axis=-1).sum()
+    expected = source[:, [bones["lfemur"], bones["rfemur"]]].mean(axis=1) * length / (7.2 + 7.4)
+    hips = joints[:, [1, 2]].mean(axis=1)
+    np.testing.assert_allclose(hips[:, [0, 2]], expected[:, [0, 2]], atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -151,3 +164,16 @@ def test_a_skeleton_upside_down_is_refused(tmp_path):
     (tmp_path / "a.bvh").write_text(flipped)
     with pytest.raises(CaphyError, match="legs down"):
         read_poses(tmp_path / "a.bvh")
+
+
+def test_a_motion_of_another_body_is_set_on_the_ground():
+    """SMPL-X's translation means nothing on a body whose pelvis rests elsewhere."""
+    rest = default_rest()
+    made = procedural_motion(1, 6.0, 30.0)
+    foreign = PoseSequence(made.poses, made.transl + np.array([0.4, 0.7, 0.0]), made.fps)  # refers to SMPL-X's pelvis
+    placed = placed_on(foreign, rest.joints, rest.sole)
+    lowest = default_body().pose(placed.poses, placed.transl)[..., 1].min(axis=1)
+    assert abs(np.median(lowest)) < 0.01
+    moved = placed.transl - foreign.transl
+    np.testing.assert_allclose(moved[:, [0, 2]], np.tile((foreign.pelvis - rest.joints[0])[[0, 2]], (len(made), 1)))
+    assert placed_on(made, rest.joints, rest.sole) is made

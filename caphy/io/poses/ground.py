@@ -67,7 +67,8 @@ def on_ground(sequence: PoseSequence, joints: np.ndarray, sole: float) -> PoseSe
         lowest = smoothed(np.interp(frames, stands, lowest[stands]), STANCE_SMOOTHING * here.fps)
     else:
         lowest = np.full(len(here), lowest.min())
-    return replace(here, transl=here.transl - lowest[:, None] * [0.0, 1.0, 0.0])
+    stood = replace(here, transl=here.transl - lowest[:, None] * [0.0, 1.0, 0.0])
+    return stood.with_notes("set on the ground y = 0 by its feet, frame by frame except in flight")
 
 
 def placed_on(sequence: PoseSequence, joints: np.ndarray, sole: float) -> PoseSequence:
