@@ -98,7 +98,7 @@ def _neckline(marks: Landmarks, width: float, depth: float) -> Field:
         q = p - centre
         flat = np.stack([q[:, 0], q @ forward], axis=1) / half
         outside = (np.linalg.norm(flat, axis=1) - 1.0) * half.min()
-        return smooth_max(outside, lid - q @ axis, 0.03)
+        return smooth_max(outside, lid - q @ axis, 0.06)
 
     return keep
 
