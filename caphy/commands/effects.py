@@ -1,0 +1,136 @@
+"""``caphy effects list|show|check``."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from caphy.effects.base import Effect
+from caphy.effects.registry import find_effect, register_file, registered_effects
+
+EffectFiles = tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class List:
+    """List the physical effects, or the measured fabrics."""
+
+    fabrics: bool = False
+    """List the measured fabrics instead."""
+    effect_file: EffectFiles = ()
+    """Your own effects, as Python files."""
+
+
+@dataclass(frozen=True)
+class Show:
+    """Show what an effect computes, its parameters with units and bounds, and where it comes from."""
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Names as listed by 'caphy effects list'."""
+    effect_file: EffectFiles = ()
+    """Your own effects, as Python files."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Put effects to the test: derivatives, units, invariances, limits. Status 1 if any fails."""
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Names as listed by 'caphy effects list'; those of the files if none are given."""
+    effect_file: EffectFiles = ()
+    """Your own effects, as Python files."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run ``caphy effects`` with the arguments after it."""
+    command = tyro.cli(
+        tyro.conf.OmitSubcommandPrefixes[
+            Annotated[List, tyro.conf.subcommand("list")]
+            | Annotated[Show, tyro.conf.subcommand("show")]
+            | Annotated[Check, tyro.conf.subcommand("check")]
+        ],
+        args=arguments,
+        prog="caphy effects",
+    )
+    own = [name for path in command.effect_file for name in register_file(path)]
+    match command:
+        case List(fabrics=True):
+            _table(_fabric_rows())
+        case List():
+            _table(_effect_rows())
+        case Show():
+            print("\n\n".join(_description(find_effect(name)) for name in command.names))
+        case Check():
+            return _check(command.names or tuple(own) or tuple(registered_effects()))
+    return 0
+
+
+def _table(rows: list[tuple[str, ...]]) -> None:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _effect_rows() -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [("effect", "element", "acts", "parameters", "what it is")]
+    for name, effect in registered_effects().items():
+        acts = "in motion" if effect.needs_step else "always"
+        summary = inspect.getdoc(inspect.getmodule(effect)) or inspect.getdoc(effect) or "-"
+        parameters = ", ".join(f"{key} [{parameter.unit}]" for key, parameter in effect.parameters.items())
+        rows.append((name, effect.element, acts, parameters or "-", summary.splitlines()[0]))
+    return rows
+
+
+def _fabric_rows() -> list[tuple[str, ...]]:
+    from caphy.material.fabrics import LOADED_TWICE, fabric, fabric_names
+
+    head = ("fabric", "kg/m^2", "weft N/m", "warp N/m", "shear N/m", "bending weft, warp 1e-6 N m")
+    rows: list[tuple[str, ...]] = [head]
+    for name in fabric_names():
+        cloth = fabric(name)
+        weft, _, warp, shear = LOADED_TWICE * np.maximum(cloth.stretching[0], 0)
+        bending = f"{cloth.bending[2, 0] * 1e6:.1f}, {cloth.bending[0, 0] * 1e6:.1f}"
+        rows.append((name, f"{cloth.density:.3f}", f"{weft:.1f}", f"{warp:.1f}", f"{shear:.1f}", bending))
+    return rows
+
+
+def _description(effect: Effect) -> str:
+    lines = [f"{effect.name} (per {effect.element})", "", inspect.getdoc(effect) or ""]
+    if effect.parameters:
+        lines += ["", "Parameters"]
+    for key, parameter in effect.parameters.items():
+        bounds = f"in [{parameter.lower:g}, {parameter.upper:g}]"
+        default = str(np.asarray(parameter.default).tolist())
+        lines.append(f"  {key} [{parameter.unit}] {bounds}: {parameter.doc}; default {default}")
+    traits = [
+        "internal: no net force or torque" * effect.internal,
+        "acts only in motion" * effect.needs_step,
+        "acts only on a body" * effect.needs_body,
+        f"needs {', '.join(effect.borrows)}" * bool(effect.borrows),
+    ]
+    lines += ["", *filter(None, traits), f"Reference: {effect.reference}"]
+    return "\n".join(lines)
+
+
+def _check(names: tuple[str, ...]) -> int:
+    from caphy.effects.battery import CHECKS
+
+    failures = 0
+    for name in names:
+        find_effect(name)
+        for check in CHECKS:
+            try:
+                check(name)
+                verdict = "ok"
+            except Exception as error:
+                failures += 1
+                kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
+                verdict = f"FAILED  {kind}{error}"
+            print(f"{name}  {check.__name__.replace('_', ' ')}: {verdict}")
+    print(f"{failures} of {len(names) * len(CHECKS)} failed" if failures else "all passed")
+    return 1 if failures else 0
