@@ -219,7 +219,8 @@ def _describe(mesh: UserMesh, marks: Landmarks, metric: str) -> None:
     print(f"  smallest angle under 20 degrees in {100 * (angles < 20).mean():.1f} % of the faces")
     print(f"  rest metric: {metric}")
     print(
-        f"  {100 * (distance < 0).mean():.1f} % of the vertices lie inside the body (deepest {-1000 * distance.min():.0f} mm)"
+        f"  {100 * (distance < 0).mean():.1f} % of the vertices lie inside the body; "
+        f"the lowest clearance is {1000 * distance.min():.1f} mm"
     )
     if (distance < 0).mean() > 0.02:
         print("  the garment must lie outside the body in T-pose: move it with --offset, or fit it in a mesh editor")

@@ -15,7 +15,8 @@ CLEARANCE = 0.006
 def trousers(marks: Landmarks, *, rise: float, leg: float, ease: float, leg_ease: float, taper: float) -> Cut:
     """Trousers or shorts; lengths [m]. ``rise`` runs up from the crotch to the waistband, ``leg`` down from it.
 
-    ``ease`` is the gap at the hips, ``leg_ease`` below; ``taper`` is how much the leg may narrow per metre (0 is straight).
+    ``ease`` is the gap at the hips, ``leg_ease`` below; ``taper`` is how much the leg may narrow per
+    metre (0 is straight).
     """
     waist, hem = marks.crotch + rise, marks.crotch - leg
     hips, limb = _hips(marks, waist, ease), _leg(marks, hem, ease, leg_ease, taper)
@@ -38,7 +39,7 @@ def trousers(marks: Landmarks, *, rise: float, leg: float, ease: float, leg_ease
 
 
 def skirt(marks: Landmarks, *, rise: float, length: float, ease: float, flare: float) -> Cut:
-    """A skirt; lengths [m]. ``length`` runs down from the waistband, ``flare`` is the widening per metre below the hips."""
+    """A skirt; lengths [m]. ``length`` runs down from the waistband, ``flare`` is the widening per metre."""
     waist = marks.crotch + rise
     hem = waist - length
     points = marks.mirrored("trunk", "leg")

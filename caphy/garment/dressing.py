@@ -48,7 +48,7 @@ def dress(family: Family, marks: Landmarks, cut: Cut, vertices: np.ndarray, face
 
 
 def keep_clear(vertices: np.ndarray, faces: np.ndarray, marks: Landmarks, least: float = 0.003) -> np.ndarray:
-    """Push vertices (V, 3) outwards until they, points along edges and face centres keep ``least`` [m] from the body."""
+    """Push vertices (V, 3) out until they, points on edges and face centres keep ``least`` [m] from the body."""
     vertices = vertices.copy()
     edge = topology.edges(faces)
     points = np.repeat(np.arange(len(vertices))[:, None], 3, axis=1)

@@ -58,7 +58,7 @@ def garment_from_mesh(
 
 
 def rest_metric(mesh: UserMesh, marks: Landmarks, panel_scale: float = 1.0) -> tuple[np.ndarray, str]:
-    """Material coordinates (F, 3, 2) [m] and where they come from: the panels if those are metric, else the 3-D shape."""
+    """Material coordinates (F, 3, 2) [m] and their origin: the panels if those are metric, else the 3-D shape."""
     reason = "the file has no panel coordinates"
     if mesh.panel is not None:
         panel = mesh.panel * panel_scale

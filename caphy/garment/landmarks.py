@@ -14,7 +14,7 @@ PARTS = {
     "head": ("head", "jaw", "left_eye", "right_eye"),
     "neck": ("neck",),
     "arm": ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow"),
-    "hand": tuple(n for j, n in enumerate(JOINT_NAMES) if j >= 25) + ("left_wrist", "right_wrist"),
+    "hand": ("left_wrist", "right_wrist", *JOINT_NAMES[25:]),
     "leg": ("left_hip", "right_hip", "left_knee", "right_knee"),
     "foot": ("left_ankle", "right_ankle", "left_foot", "right_foot"),
     "trunk": ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),

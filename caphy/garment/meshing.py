@@ -26,7 +26,8 @@ def contour(field: Field, low: np.ndarray, high: np.ndarray, step: float) -> tup
     half = field(grid.reshape(-1, 3)).reshape(grid.shape[:3])
     values = gaussian_filter(np.concatenate([half[:0:-1], half]), 1.0, mode="nearest")
     vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3, gradient_direction="descent")
-    return vertices + [-axes[0][-1], low[1], low[2]], faces.astype(np.int64)
+    origin = np.array([-axes[0][-1], low[1], low[2]])
+    return vertices + origin, faces.astype(np.int64)
 
 
 def insert_curve(vertices: np.ndarray, faces: np.ndarray, field: Field) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 from caphy.garment import topology
 
 AGREEING = 0.5
-"""Share of edges whose panel and 3-D lengths must agree within 10 %. Not all: sewing stretches some edges severalfold."""
+"""Share of edges whose panel and 3-D lengths must agree within 10 %; not all, since sewing stretches some."""
 SEAM = 0.05
 """Relative difference of an edge's length in its two panels above which it counts as inconsistent."""
 
@@ -40,9 +40,9 @@ class PanelReport:
             return f"{self.flat} faces have no area in the panel coordinates"
         if self.agreeing < AGREEING:
             return (
-                f"panel edges are {self.ratio:.3g} times the 3-D edges and only {100 * self.agreeing:.0f} % agree within "
-                f"10 %: texture coordinates, not flat cloth in metres (if they are flat cloth in another unit, pass "
-                f"--panel-scale {1 / max(self.ratio, 1e-9):.3g})"
+                f"panel edges are {self.ratio:.3g} times the 3-D edges and only {100 * self.agreeing:.0f} % agree "
+                "within 10 %: texture coordinates, not flat cloth in metres (if they are flat cloth in another "
+                f"unit, pass --panel-scale {1 / max(self.ratio, 1e-9):.3g})"
             )
         if self.seam_mismatch > 0.1:
             return f"{100 * self.seam_mismatch:.0f} % of interior edges differ in length between their two panels"
