@@ -1,6 +1,6 @@
 """Speed of the network loss and of the solver's element Hessians, as ratios measured in one run.
 
-python benchmarks/effects_speed.py [--frames 24] [--repeats 5]
+python -m benchmarks.effects_speed [--frames 24] [--repeats 5]
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.garment.topology import edges, hinge_faces, hinges
+from caphy.garment.topology import edges, face_areas, hinge_faces, hinges
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,12 @@ class Cloth:
         """The cloth of a :class:`caphy.garment.template.Garment` woven with an area density [kg/m^2]."""
         if not density > 0:
             raise CaphyError(f"the area density must be positive [kg/m^2], got {density}")
+        flat = np.flatnonzero(face_areas(garment.material) <= 0)
+        if flat.size:
+            raise CaphyError(
+                f"garment {garment.name!r}: every face needs a rest area, but {flat.size} of {len(garment.faces)} have "
+                f"none (first: face {flat[0]}); repair the mesh or its UVs"
+            )
         return cls(
             garment.vertices,
             garment.faces,
@@ -54,9 +60,7 @@ class Cloth:
     @cached_property
     def face_area(self) -> np.ndarray:
         """Rest area of each face [m^2], (F,)."""
-        a, b, c = np.moveaxis(self.material, 1, 0)
-        u, v = b - a, c - a
-        return 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+        return face_areas(self.material)
 
     @cached_property
     def vertex_area(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -62,7 +62,8 @@ class Potential:
     """The incremental potential Phi of a model on a cloth.
 
     Positions are (..., V, 3) [m] with any leading axes (frames); energies come back as (...,) [J]. In statics
-    (``step`` is None) effects that need motion are left out; without a body those that need one are.
+    (``step`` is None) effects that need motion are left out; without a body those that need one are. The area density
+    is the model's, whatever the cloth came with.
     """
 
     def __init__(
@@ -72,7 +73,8 @@ class Potential:
         dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.model, self.cloth, self.dtype, self.device = model, cloth, dtype, torch.device(device)
+        self.model, self.dtype, self.device = model, dtype, torch.device(device)
+        self.cloth = cloth if cloth.density == model.density else replace(cloth, density=model.density)
         self.terms = {name: self._bind(name) for name in model.effects}
 
     def _bind(self, name: str) -> Term:

@@ -10,9 +10,10 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
+from typing import get_args
 
 import caphy.effects
-from caphy.effects.base import Effect
+from caphy.effects.base import Effect, ElementKind
 from caphy.errors import CaphyError
 
 _from_files: dict[str, type[Effect]] = {}
@@ -54,6 +55,19 @@ def find_effect(name: str) -> Effect:
     return effects[name]()
 
 
+def _check(effect: type[Effect], path: Path) -> None:
+    """Raises :class:`CaphyError` unless a user's effect has a name of its own and what every effect must have."""
+    where = f"{path}: {effect.__name__}"
+    if effect.name in _installed():
+        raise CaphyError(f"{where}: there already is an effect {effect.name!r}; give yours another name")
+    if getattr(effect, "element", None) not in get_args(ElementKind):
+        raise CaphyError(f"{where}: element must be one of {', '.join(get_args(ElementKind))}")
+    if not isinstance(getattr(effect, "reference", None), str):
+        raise CaphyError(f"{where}: reference must say where the effect comes from")
+    if effect.energy is Effect.energy:
+        raise CaphyError(f"{where}: must define energy(self, e, p)")
+
+
 def register_file(path: Path) -> list[str]:
     """Register the effects that a user's Python file defines; returns their names."""
     spec = importlib.util.spec_from_file_location(f"caphy_effect_{path.stem}", path)
@@ -67,5 +81,7 @@ def register_file(path: Path) -> list[str]:
     effects = _defined_in(module)
     if not effects:
         raise CaphyError(f"{path}: defines no subclass of caphy.effects.base.Effect with a name")
+    for effect in effects:
+        _check(effect, path)
     _from_files.update({effect.name: effect for effect in effects})
     return [effect.name for effect in effects]

@@ -93,20 +93,18 @@ def energy_density(strain: Symmetric, table: Tensor) -> Tensor:
     return 0.5 * (k0 * uu * uu + k2 * vv * vv) + k1 * uu * vv + k3 * uv * uv
 
 
-def _stiffness(strain: Symmetric, table: Tensor) -> list[Tensor]:
-    """K_0 ... K_3 (..., n) [N/m] of the class docstring."""
+def _stiffness(strain: Symmetric, table: Tensor) -> Tensor:
+    """K_0 ... K_3 (4, ..., n) [N/m] of the class docstring."""
     uu, vv, uv = strain
     half = 0.5 * (uu - vv)
     radius = torch.sqrt(half * half + uv * uv + SMOOTHING**2)
     largest = _positive(0.5 * (uu + vv) + radius - SMOOTHING)
     cosine = half / radius
-    directed = direction_polynomial(table)
-    stiffness = []
-    for column in range(4):
-        c0, c1, c2, c3, c4 = directed[:, column]
-        sampled = c0 + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4)))
-        stiffness.append(LOADED_TWICE * _mean_clamped(table[0, column], sampled, largest))
-    return stiffness
+    column = (4, *(1,) * uu.dim())
+    start = table[0].reshape(column)
+    c0, c1, c2, c3, c4 = (row.reshape(column) for row in direction_polynomial(table))
+    sampled = c0 + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4)))
+    return LOADED_TWICE * _mean_clamped(start, sampled, largest)
 
 
 def direction_polynomial(table: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -11,7 +13,9 @@ from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.presets import fabric_model, snug_model
+from caphy.effects.registry import find_effect, registered_effects
 from caphy.effects.trial import flat_cloth, irregular_cloth, moment, pleated_cloth
+from caphy.errors import CaphyError
 
 
 @pytest.mark.parametrize("model", [snug_model(), fabric_model("gray-interlock")], ids=["snug", "measured"])
@@ -90,6 +94,30 @@ def test_a_cuda_device_gives_the_same() -> None:
         torch.testing.assert_close(theirs.cpu(), mine, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("name", registered_effects())
+def test_nothing_is_made_on_another_device(name: str) -> None:
+    """On the meta device, which computes shapes only, mixing in a tensor of the CPU raises."""
+    cloth = irregular_cloth()
+    at = moment(cloth, (2,)).to(torch.float32)
+    effects: dict[str, Any] = {other: {} for other in (*find_effect(name).borrows, name)}
+    potential = Potential(Model(0.2, effects), cloth, torch.float32, "meta")
+    step = type(at.step)(at.step.dt, *(v.to("meta") for k, v in vars(at.step).items() if k != "dt"))
+    body = type(at.body)(*(v.to("meta") for v in vars(at.body).values()))
+    x = at.x.to("meta")
+    energy, gradient = potential.gradient(x, step, body)
+    assert energy.is_meta and gradient.is_meta and gradient.shape == x.shape
+    for _, term, elements in potential.acting(x, step, body):
+        for hessian in (term.effect.hessian, term.effect.projected_hessian):
+            assert hessian(elements, term.values).is_meta
+
+
+def test_density_is_the_models() -> None:
+    cloth = flat_cloth()
+    potential = Potential(Model(0.5, {"gravity": {}}), cloth)
+    _, gradient = potential.gradient(torch.as_tensor(cloth.vertices))
+    assert float(gradient[:, 1].sum()) == pytest.approx(0.5 * 0.012 * 9.81)
+
+
 def test_a_cloth_without_attachment_is_left_alone() -> None:
     cloth = flat_cloth()
     free = Cloth(cloth.vertices, cloth.faces, cloth.material, 0.2, cloth.layer_thickness, np.zeros(len(cloth.vertices)))
@@ -109,3 +137,15 @@ def test_rest_measures_of_a_cloth(cloth: Cloth) -> None:
     a, b, c = np.moveaxis(cloth.material, 1, 0)
     edges = np.stack([b - a, c - a], -1)
     np.testing.assert_allclose(edges @ cloth.face_inverse, np.broadcast_to(np.eye(2), edges.shape), atol=1e-9)
+
+
+def test_a_face_without_rest_area_is_refused() -> None:
+    class Sliver:
+        name = "sliver"
+        vertices = np.zeros((3, 3))
+        faces = np.array([[0, 1, 2]])
+        material = np.array([[[0, 0], [1, 0], [2, 0]]], dtype=float)
+        layer_thickness = attached = np.zeros(3)
+
+    with pytest.raises(CaphyError, match="'sliver': every face needs a rest area, but 1 of 1 have none"):
+        Cloth.of(Sliver(), 0.2)

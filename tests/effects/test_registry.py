@@ -79,6 +79,23 @@ def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, text: str, messag
         register_file(path)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "my_wind"', 'name = "gravity"', "there already is an effect 'gravity'"),
+        ('element = "vertex"', 'element = "thread"', "element must be one of vertex, edge, face, hinge"),
+        ('reference = "a user\'s own"', "", "reference must say"),
+        ("def energy(", "def energies(", "must define energy"),
+    ],
+)
+def test_an_incomplete_effect_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in WIND
+    path = tmp_path / "effect.py"
+    path.write_text(WIND.replace(old, new))
+    with pytest.raises(CaphyError, match=message):
+        register_file(path)
+
+
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaphyError, match=r"existing \.py file"):
         register_file(tmp_path / "none.py")
