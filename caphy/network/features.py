@@ -93,12 +93,19 @@ def pose_features(
 
 
 def as_first_frames(features: Tensor) -> Tensor:
-    """Features (T, D) of a stream that starts here, from those of the middle of a motion."""
+    """Features (..., T, D) of streams that start here, from those of the middle of a motion."""
     start = features.clone()
-    start[:1, -9:-6] = 0  # velocity
-    start[:2, -6:-3] = 0  # acceleration
-    start[:1, -3:] = 0  # angular velocity
+    start[..., :1, -9:-6] = 0  # velocity
+    start[..., :2, -6:-3] = 0  # acceleration
+    start[..., :1, -3:] = 0  # angular velocity
     return start
+
+
+def as_held(features: Tensor) -> Tensor:
+    """Features (..., D) of poses that are held, from those of a motion through them."""
+    still = features.clone()
+    still[..., -9:] = 0
+    return still
 
 
 def _into(root: Tensor, vectors: Tensor) -> Tensor:

@@ -1,0 +1,180 @@
+"""``caphy train``: train a garment network with physics losses."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.effects.model import Model
+    from caphy.io.poses import PoseSequence
+    from caphy.training.loop import Trainer
+
+FPS = 30.0
+"""Frame rate that networks run at [Hz]."""
+
+PROCEDURAL = tuple(range(12))
+"""Seeds of the motions trained on where none are given; the last two are held out."""
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a garment network on motions with physics losses.
+
+    Run it with torchrun to share the work among processes."""
+
+    garment: tyro.conf.Positional[Path]
+    """Garment npz, as 'caphy garment make' writes it."""
+    poses: tyro.conf.Positional[tuple[Path, ...]]
+    """Pose files, or folders of them; without any, motions are made from seeds."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder of this training."""
+    held_out: tuple[Path, ...] = ()
+    """Pose files or folders to validate on; without any, every sixth clip."""
+    body: Path | None = None
+    """Body npz in the SMPL-X format; the bundled body unless given."""
+    betas: tuple[float, ...] = ()
+    """Body shape that the garment was made on."""
+    fabric: str | None = None
+    """A measured fabric; SNUG's cotton unless given."""
+    model: Path | None = None
+    """Physics model as JSON instead of a fabric."""
+    minutes: float | None = None
+    """How long to train; 45 unless --steps is given."""
+    steps: int | None = None
+    """How many steps to train."""
+    seed: int = 0
+    """What is drawn follows from it alone."""
+    device: str = "cpu"
+    """cpu or cuda."""
+    resume: bool = False
+    """Go on from the folder's checkpoint."""
+
+
+def main(arguments: list[str]) -> int | None:
+    """Entry point of ``caphy train``."""
+    options = tyro.cli(Train, args=arguments, prog="caphy train", config=(tyro.conf.OmitArgPrefixes,))
+    _check(options)
+    import torch.distributed as dist
+
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        dist.init_process_group("nccl" if options.device == "cuda" else "gloo")
+    try:
+        trainer = prepare(options)
+        if options.resume:
+            trainer.resume()
+        try:
+            trainer.run()
+        except KeyboardInterrupt:
+            trainer.say("interrupted; go on with --resume")
+            return 130
+        if trainer.rank == 0:
+            print(f"wrote {options.output}: network, checkpoint, metrics.jsonl")
+            print(f"next: caphy export {options.output} -o avatars/{options.output.name}")
+    finally:
+        if dist.is_initialized():
+            dist.destroy_process_group()
+    return 0
+
+
+def _check(options: Train) -> None:
+    if options.fabric and options.model:
+        raise CaphyError("give either --fabric or --model, not both")
+    for name in ("minutes", "steps"):
+        value = getattr(options, name)
+        if value is not None and value <= 0:
+            raise CaphyError(f"--{name} must be positive, got {value}")
+    if (options.output / "checkpoint.safetensors").exists() and not options.resume:
+        raise CaphyError(f"{options.output} holds a training already: add --resume, or give another folder with -o")
+
+
+def prepare(options: Train) -> Trainer:
+    """A trainer ready to run, and its folder with garment, model and a record of what is trained."""
+    import numpy as np
+    import torch
+
+    from caphy.body.bundled import default_body
+    from caphy.body.model import BodyModel
+    from caphy.effects.cloth import Cloth
+    from caphy.effects.potential import Potential
+    from caphy.garment.template import Garment
+    from caphy.network.garment_network import GarmentNetwork
+    from caphy.training.loop import Schedule, Trainer
+    from caphy.training.motions import Motions, varied
+    from caphy.training.objective import Objective
+
+    if options.device != "cpu" and not torch.cuda.is_available():
+        raise CaphyError(f"--device {options.device}: torch finds no CUDA device here; use --device cpu")
+    torch.manual_seed(options.seed)
+    garment, model = Garment.load(options.garment), _model(options)
+    body = default_body() if options.body is None else BodyModel.load(options.body)
+    betas = np.array(options.betas) if options.betas else None
+    network = GarmentNetwork(garment.vertices, garment.weights, body.rest(betas)[1], fps=FPS).to(options.device)
+    trained, held_out = _clips(options)
+    motions = Motions.of([v for clip in trained for v in varied(clip, FPS)], body, network.driving, FPS, betas)
+    unseen = Motions.of([clip.resample(FPS) for clip in held_out], body, network.driving, FPS, betas)
+    potential = Potential(model, Cloth.of(garment, model.density), torch.float32, options.device)
+    objective = Objective(potential, body, network.template, network.weights, FPS, betas)
+    minutes = 45.0 if options.minutes is None and options.steps is None else options.minutes
+    schedule = Schedule(options.steps, minutes)
+    trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed)
+    if trainer.rank == 0:
+        _record(options, garment, model, trained, held_out)
+        print(
+            f"{garment.name}: {len(garment.vertices)} vertices, {len(motions)} frames of {len(trained)} clips "
+            f"(mirrored, at three speeds), {len(held_out)} clips held out"
+        )
+    return trainer
+
+
+def _model(options: Train) -> Model:
+    from caphy.effects.model import Model
+    from caphy.effects.presets import fabric_model, snug_model
+
+    if options.model is not None:
+        return Model.load(options.model)
+    return snug_model() if options.fabric is None else fabric_model(options.fabric)
+
+
+def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
+    """Motions to train on and motions held out."""
+    from caphy.io.procedural import procedural_motion
+    from caphy.training.motions import find_poses
+
+    given = find_poses(options.poses)
+    clips = given or [procedural_motion(seed, 20.0, FPS) for seed in PROCEDURAL]
+    if options.held_out:
+        unseen = find_poses(options.held_out)
+        names = {clip.source for clip in unseen}
+        return [clip for clip in clips if clip.source not in names], unseen
+    if len(clips) == 1:
+        cut = max(1, int(0.8 * len(clips[0])))
+        return [clips[0][:cut]], [clips[0][cut:] if cut < len(clips[0]) else clips[0]]
+    return [clip for i, clip in enumerate(clips) if i % 6 != 5], clips[5::6] or clips[-1:]
+
+
+def _record(options: Train, garment, model: Model, trained: list[PoseSequence], held_out: list[PoseSequence]) -> None:
+    """Put beside the network what the export needs, and what a reader wants to know of its making."""
+    garment.save(options.output / "garment.npz")
+    (options.output / "model.json").write_text(model.to_json() + "\n")
+    record = {
+        "format": "caphy-run-1",
+        "fps": FPS,
+        "seed": options.seed,
+        "body": None if options.body is None else str(options.body),
+        "betas": list(options.betas),
+        "fabric": options.fabric,
+        "minutes": options.minutes,
+        "steps": options.steps,
+        "trained_on": [Path(clip.source).name for clip in trained],
+        "held_out": [Path(clip.source).name for clip in held_out],
+        "held_out_paths": [clip.source for clip in held_out],
+    }
+    (options.output / "run.json").write_text(json.dumps(record, indent=2) + "\n")

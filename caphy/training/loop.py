@@ -1,0 +1,235 @@
+"""The training loop: streams in, steps of Adam, checkpoints, metrics, and on with it after an interruption."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from caphy.errors import CaphyError
+from caphy.network.files import save_network
+from caphy.network.garment_network import GarmentNetwork
+from caphy.training.checkpoint import load_checkpoint, save_checkpoint
+from caphy.training.learner import Learner, offset_basis, stiffness
+from caphy.training.motions import Motions
+from caphy.training.objective import Objective, Past
+from caphy.training.streams import Streams
+from caphy.training.validate import validate
+
+NETWORK = "network.safetensors"
+METRICS = "metrics.jsonl"
+LOG_SECONDS = 10.0
+"""Time between lines of metrics."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long to train and how fast to learn.
+
+    Attributes:
+        steps: steps in all, or none to be bounded by time alone.
+        minutes: time in all, interruptions not counted, or none.
+        streams: windows per step.
+        learning_rate: at its highest; it rises over the first steps and falls to a fiftieth along half a cosine.
+    """
+
+    steps: int | None = None
+    minutes: float | None = 45.0
+    streams: int = 8
+    learning_rate: float = 1e-3
+    warm_up: int = 50
+
+    def done(self, step: int, seconds: float) -> float:
+        """Share of the training that is behind, 0 to 1. By time it depends on the machine, by steps it does not."""
+        shares = [0.0]
+        if self.steps is not None:
+            shares.append(step / self.steps)
+        if self.minutes is not None:
+            shares.append(seconds / (60 * self.minutes))
+        return min(max(shares), 1.0)
+
+    def rate(self, step: int, done: float) -> float:
+        """Learning rate of the step to come."""
+        return self.learning_rate * min(1.0, (step + 1) / self.warm_up) * (0.51 + 0.49 * math.cos(math.pi * done))
+
+
+@dataclass
+class Progress:
+    """Where a training stands."""
+
+    step: int = 0
+    seconds: float = 0.0
+    losses: list[float] = field(default_factory=list)
+    """Mean potentials [J] of the steps since the last line of metrics."""
+
+
+class Trainer:
+    """Trains one garment network in a folder.
+
+    With ``torch.distributed`` initialised each process plays its share of the streams; gradients are averaged and the
+    first process writes.
+    """
+
+    def __init__(
+        self, folder: Path, network: GarmentNetwork, objective: Objective, motions: Motions, held_out: Motions | None,
+        schedule: Schedule, seed: int = 0, say: Callable[[str], None] = print,
+    ) -> None:  # fmt: skip
+        """``network`` is trained in place; ``held_out`` motions are validated on at checkpoints."""
+        self.folder, self.network, self.objective = folder, network, objective
+        self.motions, self.held_out, self.schedule, self.say = motions, held_out, schedule, say
+        self.rank, self.world = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
+        if schedule.streams % self.world:
+            raise CaphyError(f"the {schedule.streams} streams must divide evenly among {self.world} processes")
+        share = schedule.streams // self.world
+        self.own = slice(self.rank * share, (self.rank + 1) * share)
+        device = network.template.device
+        self.learner = Learner(network, offset_basis(stiffness(objective.potential, network.fps))).to(device)
+        self.model = self.learner
+        if self.world > 1:
+            self.model = torch.nn.parallel.DistributedDataParallel(self.learner, broadcast_buffers=False)
+        self.optimizer = torch.optim.Adam(self.learner.parameters(), betas=(0.9, 0.99))
+        self.streams = Streams(motions, schedule.streams, seed)
+        self.hidden = network.template.new_zeros(network.gru.num_layers, share, network.gru.hidden_size)
+        still = network.template.expand(share, -1, -1)
+        self.past = Past(still, still)
+        self.progress = Progress()
+
+    def step(self, done: float = 0.0) -> float:
+        """One step on the next window of every stream, ``done`` of the schedule being behind.
+
+        Returns the mean potential [J] of this process's share.
+        """
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.schedule.rate(self.progress.step, done)
+        windows = self.streams.advance()[self.own]
+        fresh = torch.as_tensor(windows.fresh, device=self.hidden.device)[None, :, None]
+        features = windows.features(self.motions).to(self.hidden)
+        offsets, hidden = self.model(features, torch.where(fresh, 0, self.hidden))
+        potential, past = self.objective(self.motions, windows, offsets, self.past)
+        loss = potential.mean()
+        self.optimizer.zero_grad()
+        loss.backward()
+        self._require_finite(float(loss.detach()))
+        self.optimizer.step()
+        self.hidden, self.past = hidden.detach(), past
+        self.progress.step += 1
+        return float(loss.detach())
+
+    def _require_finite(self, loss: float) -> None:
+        """Gradients are common to all processes, so all stop together."""
+        squares = sum(p.grad.square().sum() for p in self.learner.parameters() if p.grad is not None)
+        if not (math.isfinite(loss) and math.isfinite(float(squares))):
+            raise CaphyError(
+                f"step {self.progress.step + 1}: the potential or its gradient is not finite (potential {loss} J). "
+                f"The last good checkpoint is kept in {self.folder}; check the garment with 'caphy garment check' and "
+                "the model's parameters, then go on with --resume"
+            )
+
+    def run(self, checkpoint_seconds: float = 120.0) -> None:
+        """Train until the schedule is done, from wherever :attr:`progress` stands."""
+        last = saved = time.monotonic()
+        logged, first_step, first_seconds = last, self.progress.step, self.progress.seconds
+        while (done := self._share_done()) < 1:
+            self.progress.losses.append(self.step(done))
+            now = time.monotonic()
+            self.progress.seconds += now - last
+            if now - logged >= LOG_SECONDS:
+                pace = (self.progress.step - first_step) / (self.progress.seconds - first_seconds)
+                self._log(pace, done)
+                logged = now
+            if self._agreed(now - saved >= checkpoint_seconds):
+                self.save()
+                saved = time.monotonic()
+            last = time.monotonic() if saved > now else now
+        self.save()
+
+    def _share_done(self) -> float:
+        return self._common(self.schedule.done(self.progress.step, self.progress.seconds))
+
+    def _agreed(self, flag: bool) -> bool:
+        return self._common(float(flag)) > 0
+
+    def _common(self, value: float) -> float:
+        """The first process's value, in all of them."""
+        if self.world == 1:
+            return value
+        shared = torch.tensor([value], dtype=torch.float64)
+        dist.broadcast(shared, 0)
+        return float(shared)
+
+    def save(self) -> None:
+        """Validate, and write the network, the checkpoint and a line of metrics."""
+        streams = {
+            "place": torch.from_numpy(self.streams.place.copy()),
+            "hidden": self._gathered(self.hidden.transpose(0, 1)),
+            "before": self._gathered(self.past.before),
+            "previous": self._gathered(self.past.previous),
+        }
+        if self.rank:
+            return
+        self.learner.fold(self.network)
+        save_network(self.network, self.folder / NETWORK)
+        if self.held_out is not None:
+            self._write({"validation": validate(self.network, self.objective, self.held_out).summary()})
+        progress = {"step": self.progress.step, "seconds": self.progress.seconds, "losses": self.progress.losses}
+        save_checkpoint(self.folder, {"learner": self.learner}, self.optimizer, streams, progress)
+
+    def resume(self) -> None:
+        """Go on from the folder's checkpoint.
+
+        Raises
+            CaphyError: if there is none, it is damaged or it does not fit.
+        """
+        streams, progress = load_checkpoint(self.folder, {"learner": self.learner}, self.optimizer)
+        if len(streams["place"]) != self.schedule.streams:
+            raise CaphyError(
+                f"{self.folder}: was trained with {len(streams['place'])} streams, not {self.schedule.streams}"
+            )
+        device = self.hidden.device
+        self.streams.restore(streams["place"].numpy())
+        self.hidden = streams["hidden"][self.own].transpose(0, 1).contiguous().to(device)
+        self.past = Past(streams["before"][self.own].to(device), streams["previous"][self.own].to(device))
+        self.progress = Progress(progress["step"], progress["seconds"], progress["losses"])
+        if self.rank == 0:
+            self._forget_later_metrics()
+
+    def _gathered(self, share: Tensor) -> Tensor:
+        if self.world == 1:
+            return share
+        parts = [torch.empty_like(share, memory_format=torch.contiguous_format) for _ in range(self.world)]
+        dist.all_gather(parts, share.contiguous())
+        return torch.cat(parts)
+
+    def _log(self, steps_per_second: float, done: float) -> None:
+        loss = sum(self.progress.losses) / len(self.progress.losses)
+        self.progress.losses.clear()
+        if self.rank:
+            return
+        frames = steps_per_second * self.schedule.streams * 5
+        left = self.progress.seconds * (1 - done) / max(done, 1e-9) / 60
+        rate = self.optimizer.param_groups[0]["lr"]
+        self._write({"loss_J": round(loss, 6), "frames_per_s": round(frames, 1), "learning_rate": rate})
+        self.say(
+            f"{100 * done:5.1f} %  step {self.progress.step}  potential {loss:.4f} J  {frames:.0f} frames/s  "
+            f"{left:.0f} min left"
+        )
+
+    def _write(self, entry: dict) -> None:
+        entry = {"step": self.progress.step, "seconds": round(self.progress.seconds, 1), **entry}
+        with (self.folder / METRICS).open("a") as stream:
+            stream.write(json.dumps(entry) + "\n")
+
+    def _forget_later_metrics(self) -> None:
+        """Drop the lines written after the checkpoint: they will be written again."""
+        path = self.folder / METRICS
+        if path.exists():
+            lines = [line for line in path.read_text().splitlines() if line.endswith("}")]
+            kept = [line for line in lines if json.loads(line)["step"] <= self.progress.step]
+            path.write_text("".join(f"{line}\n" for line in kept))
