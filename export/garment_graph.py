@@ -33,7 +33,7 @@ def garment_graph(network: GarmentNetwork, head: Head, name: str) -> onnx.ModelP
     moved = skinning_transforms(graph, local, joints, JOINT_PARENTS, influences)
 
     features, motion = pose_features(graph, network, local, joints, transl=transl, state=state)
-    hidden, states = _gru(graph, network, features, state)
+    hidden, states = gru(graph, network, features, state)
     points = _head(graph, head, network.template.double().numpy(), hidden)
     vertices = _skin(graph, moved, transl, points, weights[:, influences])
 
@@ -42,7 +42,7 @@ def garment_graph(network: GarmentNetwork, head: Head, name: str) -> onnx.ModelP
     return graph.model(name, "CaPhy garment: poses, transl and state in, skinned vertices and state out")
 
 
-def _gru(graph: OnnxGraph, network: GarmentNetwork, features: str, state: str) -> tuple[str, list[str]]:
+def gru(graph: OnnxGraph, network: GarmentNetwork, features: str, state: str) -> tuple[str, list[str]]:
     """The last layer's output (T, width), and every layer's hidden state (width,) after the last frame."""
     width, layers = network.gru.hidden_size, network.gru.num_layers
     hidden = graph.nodes("Split", state, [width] * layers + [network.state_size - layers * width], outputs=layers + 1)

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 import caphy
-from caphy.body.kinematics import joint_transforms
 from caphy.conventions import JOINT_NAMES
 from caphy.io.bundle import AvatarBundle, SkinnedMesh
 from caphy.report.render import CLOTH, SKIN, vertex_normals
-from caphy.rotations import matrix_from_axis_angle, quaternion_from_axis_angle
+from caphy.rotations import quaternion_from_axis_angle
 from export.gltf import INDICES, VERTEX_DATA, Gltf
 from export.morph import Morph, motion_morph
 
@@ -45,10 +44,7 @@ def animated_glb(
 
     ``vertices`` are the garments' (T, V, 3) [m], as the service answers them.
     """
-    transforms = joint_transforms(
-        matrix_from_axis_angle(np.asarray(poses, np.float64)), bundle.joints, bundle.parents.tolist()
-    )
-    transforms[..., 3] += np.asarray(transl, np.float64)[:, None]
+    transforms = bundle.transforms(poses, transl)
     gltf = Gltf(f"caphy {caphy.__version__}")
     gltf.document["asset"]["copyright"] = bundle.licence
     skin = _add_skeleton(gltf, bundle)

@@ -184,5 +184,5 @@ def _require_few_frames(frames_answered: float, settings: Settings) -> None:
 
 def _encode(response: protocol.FramesResponse, media_type: str) -> Response:
     if media_type == JSON_MEDIA_TYPE:
-        return JSONResponse(frames.json_answer(response))
+        return Response(frames.json_answer(response), media_type=JSON_MEDIA_TYPE)
     return Response(b"".join(protocol.encode_response(response)), media_type=media_type)

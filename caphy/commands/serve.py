@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import socket
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+
+from caphy.errors import CaphyError
 
 
 @dataclass(frozen=True)
@@ -17,7 +20,7 @@ class Serve:
     host: str | None = None
     """Address to listen on; by default this machine only."""
     port: int | None = None
-    """Port to listen on; 8000 by default."""
+    """Port to listen on; 8000 by default, 0 for any that is free."""
 
 
 def main(arguments: list[str]) -> None:
@@ -33,5 +36,19 @@ def main(arguments: list[str]) -> None:
     given = {name: value for name, value in vars(command).items() if value is not None}
     settings = read_settings(**given)
     avatars = load_avatars(settings.avatars, settings.chunk_frames)
-    print(f"serving {', '.join(avatars)} on http://{settings.host}:{settings.port} (API: /docs)", flush=True)
-    uvicorn.run(create_app(settings, avatars), host=settings.host, port=settings.port, log_level="warning")
+    listener = _listen(settings.host, settings.port)
+    port = listener.getsockname()[1]
+    print(f"serving {', '.join(avatars)} on http://{settings.host}:{port} (API: /docs)", flush=True)
+    config = uvicorn.Config(create_app(settings, avatars), log_level="warning")
+    uvicorn.Server(config).run(sockets=[listener])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A listening socket; connections made from now on wait for the service."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family, backlog=2048)
+    except OSError as error:
+        raise CaphyError(
+            f"cannot listen on {host}, port {port} ({error.strerror}); choose another with --port"
+        ) from error

@@ -21,8 +21,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from caphy.body.kinematics import joint_transforms
+from caphy.body.skinning import blend_transforms, skin
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.errors import CaphyError
+from caphy.rotations import matrix_from_axis_angle
 
 SCHEMA: Final = "caphy-avatar-1"
 MANIFEST: Final = "avatar.json"
@@ -81,6 +84,12 @@ class SkinnedMesh:
         np.add.at(weights, (rows, self.joint_index), self.joint_weight)
         return weights
 
+    def posed(self, transforms: np.ndarray) -> np.ndarray:
+        """Vertices (T, V, 3) [m] carried by joint transforms (T, 55, 3, 4), see :meth:`AvatarBundle.transforms`."""
+        weights, points = self.dense_weights(), self.vertices.astype(np.float64)
+        frames = [skin(blend_transforms(weights, part[None]), points)[0] for part in transforms]
+        return np.stack(frames)
+
 
 @dataclass(frozen=True, eq=False)
 class BundledGarment:
@@ -109,6 +118,13 @@ class AvatarBundle:
     licence: str
     provenance: Mapping[str, Any] = field(default_factory=dict)
     metrics: Mapping[str, Any] = field(default_factory=dict)
+
+    def transforms(self, poses: np.ndarray, transl: np.ndarray) -> np.ndarray:
+        """Rest-to-posed joint transforms (T, 55, 3, 4) of poses (T, 55, 3) [rad] and transl (T, 3) [m], both in."""
+        rotations = matrix_from_axis_angle(np.asarray(poses, np.float64))
+        transforms = joint_transforms(rotations, self.joints, self.parents.tolist())
+        transforms[..., 3] += np.asarray(transl, np.float64)[:, None]
+        return transforms
 
     def garment(self, name: str) -> BundledGarment:
         """The garment of that name; raises CaphyError listing those there are."""

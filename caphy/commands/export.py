@@ -1,0 +1,111 @@
+"""``caphy export``: trained garments become an avatar bundle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.io.poses import PoseSequence
+    from export.runs import Run
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write an avatar bundle: one ONNX graph per trained garment, checked against its network, and the body."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Folders that 'caphy train' wrote, one per garment, innermost garment first."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The bundle to write, a folder."""
+    motions: tuple[Path, ...] = ()
+    """Pose files to choose the head's rank on, and to state its error on; made-up motions by default."""
+    body: Path | None = None
+    """Body to show, an SMPL-X-format npz with the joints trained on; the bundled body by default."""
+    licence: str | None = None
+    """Licence of the body and garments in words; needed with a body of your own."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy export`` with the arguments after it."""
+    command = tyro.cli(Export, prog="caphy export", args=arguments)
+
+    import caphy
+    from caphy.body.bundled import default_body
+    from caphy.body.model import BodyModel
+    from caphy.io.bundle import write_bundle
+    from export.avatar import BODY_LICENCE, avatar_bundle, bundled_garment
+    from export.runs import read_run
+
+    if command.body is not None and command.licence is None:
+        raise CaphyError("a body of your own needs its licence in words: --licence TEXT")
+    body = default_body("fine") if command.body is None else BodyModel.load(command.body)
+    runs = [read_run(folder) for folder in command.runs]
+    _require_one_body(runs, body.joints)
+    fitted, held_out = _motions(command.motions)
+    garments = []
+    for run in runs:
+        garment, metrics = bundled_garment(run.garment, run.network, fitted, held_out)
+        print(
+            f"{garment.name}: {len(garment.mesh.vertices)} vertices, head of rank {metrics['head_rank']} "
+            f"({metrics['head_worst_vertex_error_mm']:.3f} mm), {metrics['parity_with_torch_mm']:.4f} mm from torch"
+        )
+        garments.append((garment, {**metrics, "held_out": dict(run.metrics)}))
+    provenance: dict[str, Any] = {
+        "exported_by": f"caphy {caphy.__version__}",
+        "head_fitted_on": [motion.source for motion in fitted],
+        "head_error_measured_on": [motion.source for motion in held_out],
+        "garments": {run.garment.name: dict(run.provenance) for run in runs},
+    }
+    bundle = avatar_bundle(
+        command.out.resolve().name,
+        body,
+        garments,
+        fps=runs[0].network.fps,
+        licence=command.licence or BODY_LICENCE,
+        provenance=provenance,
+    )
+    write_bundle(bundle, command.out)
+    size = sum(path.stat().st_size for path in command.out.iterdir())
+    print(f"{command.out}: avatar of {len(garments)} garments, {size / 1e6:.1f} MB")
+    print(f"next: caphy demo --avatar {command.out}")
+
+
+def _require_one_body(runs: list[Run], joints: np.ndarray) -> None:
+    if not runs:
+        raise CaphyError("give at least one folder that 'caphy train' wrote")
+    for run in runs:
+        name = run.garment.name
+        if run.network.fps != runs[0].network.fps:
+            raise CaphyError(
+                f"garments must run at one rate: {name} at {run.network.fps:g} fps, "
+                f"{runs[0].garment.name} at {runs[0].network.fps:g}; train one of them again"
+            )
+        gap = float(np.abs(run.network.joints.numpy() - joints).max())
+        if gap > 1e-4:
+            raise CaphyError(
+                f"garment {name} was trained on another body: joints differ by {1e3 * gap:.1f} mm; "
+                "give that body with --body"
+            )
+
+
+def _motions(paths: tuple[Path, ...]) -> tuple[list[PoseSequence], list[PoseSequence]]:
+    """Motions to fit the head on, and others, every third, to state its error on."""
+    from caphy.io.poses import read_poses
+    from caphy.io.procedural import procedural_motion
+
+    if not paths:
+        made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
+        return made[:4], made[4:]
+    motions = [read_poses(path) for path in paths]
+    if len(motions) == 1:
+        middle = len(motions[0]) // 2
+        motions = [motions[0][:middle], motions[0][middle:]]
+    held_out = motions[1::3]
+    return [motion for motion in motions if motion not in held_out], held_out

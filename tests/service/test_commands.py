@@ -1,0 +1,50 @@
+"""``caphy serve`` and ``caphy demo`` as a user runs them."""
+
+from __future__ import annotations
+
+import socket
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from caphy.cli import main
+from caphy.io.poses import write_poses
+
+
+def test_demo_writes_a_glb_and_a_sheet(avatars, motion, tmp_path, capsys):
+    write_poses(motion, tmp_path / "walk.npz")
+    out = tmp_path / "out"
+    arguments = ["demo", str(tmp_path / "walk.npz"), "--avatar", str(avatars / "shell"), "--out", str(out)]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    for word in ("milliseconds per frame", "round trip", "avatar.glb", "sheet.png", "caphy serve"):
+        assert word in said
+    scene = trimesh.load(out / "avatar.glb")
+    assert set(scene.geometry) == {"body", "tshirt", "trousers"}
+    sheet = cv2.imread(str(out / "sheet.png"))
+    assert sheet.shape[1] == 6 * 280
+    assert np.std(sheet) > 10
+    assert sorted(path.name for path in out.iterdir()) == ["avatar.glb", "sheet.png"]
+
+
+def test_demo_without_an_avatar_says_what_to_do(tmp_path, capsys):
+    assert main(["demo", "--avatar", str(tmp_path / "none")]) == 2
+    assert "caphy export" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [(["--avatars", "nowhere"], "--avatars"), (["--port", "99999"], "CAPHY_PORT")],
+)
+def test_serve_refuses_in_words(arguments, word, capsys):
+    assert main(["serve", *arguments]) == 2
+    assert word in capsys.readouterr().err
+
+
+def test_serve_on_a_port_in_use(avatars, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        assert main(["serve", "--avatars", str(avatars), "--port", port]) == 2
+    assert "choose another with --port" in capsys.readouterr().err
