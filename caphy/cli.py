@@ -14,6 +14,7 @@ COMMANDS = {
     "effects": "list and show the physical effects",
     "simulate": "drape or move a garment with the reference solver",
     "train": "train a garment network with physics losses",
+    "compare": "compare a model with measurements: metrics, and a page to look at",
     "export": "write an avatar bundle: one ONNX graph per garment",
     "serve": "serve avatars over HTTP",
     "demo": "serve the default avatar, send it a motion, write a GLB and a contact sheet",
@@ -38,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
         return 2
     try:
-        module = importlib.import_module(f"caphy.commands.{name}")
+        return importlib.import_module(f"caphy.commands.{name}").main(rest) or 0
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] in ("caphy", "service", "export"):
             raise
@@ -47,8 +48,6 @@ def main(arguments: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    try:
-        return module.main(rest) or 0
     except CaphyError as error:
         print(f"caphy {name}: {error}", file=sys.stderr)
         return 2
