@@ -1,0 +1,158 @@
+"""Measurements as pickle-free NumPy archives."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.io.measurements.measurement import Measurement
+from caphy.io.poses.sequence import Y_UP_FROM_Z_UP, PoseSequence
+
+FORMAT: Final = "caphy-measurement-1"
+ARRAYS: Final = tuple(
+    field.name for field in fields(Measurement) if field.name not in ("name", "fps", "noise_mm", "source", "notes")
+)
+"""Keys that hold arrays."""
+_OTHER = ("format", "name", "fps", "noise_mm", "up_axis", "frame_index", "frame_count", "notes")
+
+
+def read_archive(path: Path) -> tuple[Measurement, bool]:
+    """The measurement in an npz, and whether the file states its up axis."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except FileNotFoundError as error:
+        raise CaphyError(f"{path}: there is no such file") from error
+    except Exception as error:
+        raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({error})") from error
+    unknown = sorted(set(arrays) - set(ARRAYS) - set(_OTHER))
+    if unknown:
+        raise CaphyError(f"{path}: has keys nobody reads: {', '.join(unknown)}; known: {', '.join((*ARRAYS, *_OTHER))}")
+    if "fps" not in arrays:
+        raise CaphyError(f"{path}: must state fps, the frames per second; it has {', '.join(sorted(arrays))}")
+    return from_arrays(arrays, path.stem, str(path))
+
+
+def from_arrays(arrays: Mapping[str, Any], name: str, source: str) -> tuple[Measurement, bool]:
+    """A measurement with y up out of its keys, and whether they state the up axis."""
+    given: dict[str, Any] = {key: arrays[key] for key in ARRAYS if key in arrays}
+    if "frame_index" in arrays:
+        _spread(given, np.asarray(arrays["frame_index"]), arrays.get("frame_count"), source)
+    measurement = Measurement(
+        name=str(arrays.get("name", name)),
+        fps=_number(arrays["fps"], "fps", source),
+        noise_mm=None if "noise_mm" not in arrays else _number(arrays["noise_mm"], "noise_mm", source),
+        source=source,
+        notes=tuple(str(note) for note in np.atleast_1d(arrays.get("notes", np.zeros(0, str)))),
+        **given,
+    )
+    axis = str(arrays.get("up_axis", "y"))
+    if axis not in ("y", "z"):
+        raise CaphyError(f"{source}: up_axis must be 'y' or 'z', got {axis!r}")
+    return (measurement if axis == "y" else y_up(measurement)), "up_axis" in arrays
+
+
+def y_up(measurement: Measurement) -> Measurement:
+    """A measurement whose world has z up, turned; rest shapes stay as they are."""
+    turned: dict[str, Any] = {
+        name: value @ Y_UP_FROM_Z_UP.T
+        for name in ("vertices", "points", "body_vertices", "pinned_positions")
+        if (value := getattr(measurement, name)) is not None
+    }
+    for prefix in ("", "preroll_"):
+        poses, transl = getattr(measurement, f"{prefix}poses"), getattr(measurement, f"{prefix}transl")
+        if poses is not None:
+            pelvis = _pelvis(measurement)
+            motion = PoseSequence(poses, transl, measurement.fps, up_axis="z", source=measurement.source).to_y_up(
+                pelvis
+            )
+            turned |= {f"{prefix}poses": motion.poses, f"{prefix}transl": motion.transl}
+    return replace(measurement, **turned)
+
+
+def write_archive(measurement: Measurement, path: Path) -> None:
+    """Write an npz, whole or not at all."""
+    with_partial(path, lambda file: np.savez_compressed(file, allow_pickle=False, **to_arrays(measurement)))
+
+
+def to_arrays(measurement: Measurement) -> dict[str, Any]:
+    """The keys of a measurement's npz."""
+    arrays: dict[str, Any] = {
+        "format": np.array(FORMAT),
+        "name": np.array(measurement.name),
+        "fps": np.array(float(measurement.fps)),
+        "up_axis": np.array("y"),
+    }
+    if measurement.noise_mm is not None:
+        arrays["noise_mm"] = np.array(float(measurement.noise_mm))
+    if measurement.notes:
+        arrays["notes"] = np.array(measurement.notes)
+    return arrays | {name: value for name in ARRAYS if (value := getattr(measurement, name)) is not None}
+
+
+def with_partial(path: Path, write: Any) -> None:
+    """Call ``write`` with a temporary file beside ``path``, then put it in place."""
+    try:
+        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+    except OSError as error:
+        raise CaphyError(f"{path}: cannot be written: {error}") from error
+    try:
+        with os.fdopen(handle, "wb") as file:
+            write(file)
+        os.chmod(partial, 0o644)
+        os.replace(partial, path)
+    except BaseException:
+        Path(partial).unlink(missing_ok=True)
+        raise
+
+
+def _spread(given: dict[str, Any], index: np.ndarray, count: Any, source: str) -> None:
+    """Put the K captured frames where they belong among all T, leaving missing frames empty."""
+    whole = index.ndim == 1 and len(index) > 0 and index.dtype.kind in "iu"
+    if not whole or index[0] < 0 or (np.diff(index) <= 0).any():
+        place = (
+            "" if not whole or index[0] < 0 else f"; at place {int(np.argmax(np.diff(index) <= 0)) + 1} it falls back"
+        )
+        raise CaphyError(f"{source}: frame_index must be rising whole numbers (K,), the captured frames' places{place}")
+    steady = [len(given[k]) for k in ("poses", "transl", "pinned_positions", "body_vertices") if k in given]
+    total = int(count) if count is not None else max([int(index[-1]) + 1, *steady])
+    if index[-1] >= total:
+        raise CaphyError(f"{source}: frame_index reaches {index[-1]}, but there are {total} frames")
+    for name in ("vertices", "visibility", "noise"):
+        value = np.asarray(given[name]) if name in given else None
+        if value is None or (name == "noise" and value.ndim != 2):
+            continue
+        if len(value) != len(index):
+            raise CaphyError(f"{source}: {name} must have the {len(index)} frames of frame_index, got {len(value)}")
+        full = np.zeros((total, *value.shape[1:]), value.dtype)
+        if value.dtype.kind == "f":
+            full[:] = np.nan
+        full[index] = value
+        given[name] = full
+    if "offsets" in given:
+        counts = np.zeros(total, dtype=np.int64)
+        sizes = np.diff(np.asarray(given["offsets"]))
+        if len(sizes) != len(index):
+            raise CaphyError(f"{source}: offsets must have {len(index) + 1} entries, got {len(sizes) + 1}")
+        counts[index] = sizes
+        given["offsets"] = np.concatenate([[0], np.cumsum(counts)])
+
+
+def _number(value: Any, name: str, source: str) -> float:
+    try:
+        return float(np.asarray(value).reshape(()))
+    except (TypeError, ValueError) as error:
+        raise CaphyError(f"{source}: {name} must be one number, got {value!r}") from error
+
+
+def _pelvis(measurement: Measurement) -> np.ndarray:
+    from caphy.body.bundled import default_body
+
+    return default_body().rest(measurement.betas)[1][0]

@@ -1,0 +1,223 @@
+"""Whether a measurement can be what it says: units, axes, frame rate, order of frames, order of vertices."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.io.measurements.measurement import Measurement
+from caphy.io.poses.sequence import Y_UP_FROM_Z_UP
+
+SIZE: Final = (0.02, 10.0)
+"""Diagonal [m] that a piece of cloth may have in one frame."""
+MAX_SPEED: Final = 40.0
+"""Speed [m/s] that the median vertex of a cloth does not reach; a whip's tip does, a sheet does not."""
+MOVING: Final = 0.01
+"""Median step between frames, as a share of the cloth's size, from which the order of frames can be judged."""
+REACH: Final = 0.45
+"""Distance [m] within which the median point of clothing has a joint of the body."""
+
+_SCALES = {0.001: "millimetres", 0.01: "centimetres", 0.1: "decimetres", 0.0254: "inches", 1000.0: "kilometres"}
+
+
+def require_plausible(measurement: Measurement, axes_stated: bool = True) -> None:
+    """Raise :class:`CaphyError`, saying what to change, unless units, axes, rate and order are credible.
+
+    ``axes_stated``: the file says itself which way is up, so that nothing is guessed about it.
+    """
+    _require_rate(measurement)
+    _require_metres(measurement)
+    if measurement.registered:
+        _require_same_mesh(measurement)
+        _require_order(measurement)
+        _require_pins(measurement)
+    _require_body(measurement)
+    if not axes_stated:
+        _require_hanging(measurement)
+
+
+def _error(measurement: Measurement, message: str) -> CaphyError:
+    return CaphyError(f"{measurement.source or measurement.name}: {message}")
+
+
+def _require_rate(measurement: Measurement) -> None:
+    if measurement.fps < 2:
+        raise _error(
+            measurement,
+            f"fps must be frames per second, got {measurement.fps:g}; if that is the time between frames [s], "
+            f"give {1 / measurement.fps:.4g}",
+        )
+    if measurement.fps > 2000:
+        raise _error(
+            measurement, f"fps must be frames per second, got {measurement.fps:g}; is it a time in another unit?"
+        )
+
+
+def _size(measurement: Measurement) -> float:
+    """Median over frames of the diagonal of what was seen [m]."""
+    frames = measurement.seen_frames[:: max(len(measurement.seen_frames) // 50, 1)]
+    return float(np.median([np.linalg.norm(np.ptp(measurement.cloud(int(t)), axis=0)) for t in frames]))
+
+
+def _require_metres(measurement: Measurement) -> None:
+    size = _size(measurement)
+    if not SIZE[0] <= size <= SIZE[1]:
+        fitting = [f"{unit}: multiply by {scale:g}" for scale, unit in _SCALES.items() if 0.2 <= size * scale <= 4]
+        raise _error(
+            measurement,
+            f"lengths must be in metres, but the cloth measures {size:.3g} across; "
+            + (f"it looks like {fitting[0]}" if fitting else "check its unit"),
+        )
+    if measurement.noise is not None and np.nanmedian(measurement.noise) > 0.2 * size:
+        raise _error(
+            measurement,
+            f"noise must be in metres, got a median of {np.nanmedian(measurement.noise):.3g} on a cloth of {size:.2g} "
+            "m; divide millimetres by 1000",
+        )
+
+
+def _edges(faces: np.ndarray) -> np.ndarray:
+    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    return np.unique(pairs, axis=0)
+
+
+def _require_same_mesh(measurement: Measurement) -> None:
+    """Edges must be about as long as at rest: cloth does not stretch twofold, nor do vertices change places."""
+    if measurement.rest_vertices is None or measurement.vertices is None or measurement.faces is None:
+        return
+    a, b = _edges(measurement.faces).T
+    rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
+    frames = measurement.seen_frames[:: max(len(measurement.seen_frames) // 20, 1)]
+    now = np.linalg.norm(measurement.vertices[frames][:, a] - measurement.vertices[frames][:, b], axis=2)
+    ratio = (now / np.maximum(rest, 1e-12))[np.isfinite(now)]
+    if len(ratio) == 0:
+        return
+    low, middle, high = np.quantile(ratio, (0.1, 0.5, 0.9))
+    if high > 2.5 * low:
+        raise _error(
+            measurement,
+            f"some edges are {low:.2g} and others {high:.2g} times as long as at rest: faces, rest_vertices and "
+            "vertices are not in the same vertex order. Export all three from one mesh",
+        )
+    if not 0.5 <= middle <= 2:
+        unit = min(_SCALES, key=lambda scale: abs(np.log(middle * scale)))
+        advice = f"the vertices look like {_SCALES[unit]} beside a rest mesh in metres: multiply them by {unit:g}"
+        fits = 0.5 <= middle * unit <= 2
+        raise _error(
+            measurement,
+            f"edges are {middle:.3g} times as long as in rest_vertices; "
+            + (advice if fits else "are both in metres, and of the same mesh?"),
+        )
+
+
+def _step(measurement: Measurement, frames: np.ndarray, lag: int) -> np.ndarray:
+    """Median distance (n,) [m] that vertices move from each frame to the one ``lag`` later in the list."""
+    assert measurement.vertices is not None
+    moved = measurement.vertices[frames[lag:]] - measurement.vertices[frames[:-lag]]
+    distance = np.linalg.norm(np.where(np.isfinite(moved), moved, 0), axis=-1)
+    seen = measurement.observed[frames[lag:]] & measurement.observed[frames[:-lag]]
+    return np.array([np.median(d[s]) if s.any() else 0.0 for d, s in zip(distance, seen, strict=True)])
+
+
+def _require_order(measurement: Measurement) -> None:
+    """Frames in the order of time: of three neighbours the outer two are farthest apart, but for noise."""
+    frames = measurement.seen_frames
+    if len(frames) < 6:
+        return
+    size, one = _size(measurement), _step(measurement, frames, 1)
+    gap = np.diff(frames)
+    speed = one * measurement.fps / gap
+    if np.median(speed) > MAX_SPEED:
+        raise _error(
+            measurement,
+            f"the cloth moves at {np.median(speed):.0f} m/s through half of the frames; are the frames in order, and "
+            f"is fps = {measurement.fps:g} the true rate?",
+        )
+    two = _step(measurement, frames, 2)
+    # Four frames a b c d: if a c b d is a much shorter way, b and c are not in the order of time.
+    ordered, swapped = one[:-2] + one[1:-1] + one[2:], two[:-1] + one[1:-1] + two[1:]
+    steady = (gap[:-2] == 1) & (gap[1:-1] == 1) & (gap[2:] == 1)
+    wrong = steady & (ordered > 1.5 * swapped) & (one[1:-1] > MOVING * size)
+    if not wrong.any():
+        return
+    first = int(frames[np.argmax(wrong) + 1])
+    if wrong.sum() == 1:
+        raise _error(measurement, f"frames {first} and {first + 1} look exchanged; put the frames in the order of time")
+    raise _error(
+        measurement,
+        f"the frames look shuffled, first at frames {first} and {first + 1}: the way through them becomes much shorter "
+        "when neighbours are exchanged. Sort them by time (frame_2, frame_10 sort wrongly as text)",
+    )
+
+
+def _require_pins(measurement: Measurement) -> None:
+    """Held vertices that were seen must lie where the pins are."""
+    if measurement.pinned is None or measurement.pinned_positions is None or measurement.vertices is None:
+        return
+    away = np.linalg.norm(measurement.vertices[:, measurement.pinned] - measurement.pinned_positions, axis=-1)
+    if not np.isfinite(away).any():
+        return
+    middle, size = float(np.nanmedian(away)), _size(measurement)
+    if middle > max(0.05 * size, 0.01):
+        raise _error(
+            measurement,
+            f"the pinned vertices were measured {1000 * middle:.0f} mm from pinned_positions; check the order of "
+            "'pinned', the unit, the axes, and that both were recorded at the same times",
+        )
+
+
+def _require_body(measurement: Measurement) -> None:
+    """Clothing lies near its body's joints, in the same world."""
+    if measurement.poses is None or measurement.transl is None:
+        return
+    joints = _joints(measurement)
+    frames = measurement.seen_frames[:: max(len(measurement.seen_frames) // 8, 1)]
+    away = _median_distance(measurement, joints, frames, np.eye(3))
+    if away <= REACH:
+        return
+    for rotation, advice in (
+        (Y_UP_FROM_Z_UP, "the cloth has z up and the poses y up; turn it, or state up_axis = 'z' if both have"),
+        (Y_UP_FROM_Z_UP.T, "the poses have z up and the cloth y up; turn them"),
+    ):
+        if _median_distance(measurement, joints, frames, rotation) < min(REACH, 0.5 * away):
+            raise _error(measurement, f"the cloth lies {away:.2f} m from the joints of its body: {advice}")
+    raise _error(
+        measurement,
+        f"the cloth lies {away:.2f} m from the joints of its body; vertices, poses and transl must be in one world "
+        "frame, in metres, with transl added after turning about the pelvis as in SMPL-X",
+    )
+
+
+def _joints(measurement: Measurement) -> np.ndarray:
+    from caphy.body.bundled import default_body
+
+    assert measurement.poses is not None
+    return default_body().posed_joints(measurement.poses, measurement.transl, measurement.betas)
+
+
+def _median_distance(measurement: Measurement, joints: np.ndarray, frames: np.ndarray, rotation: np.ndarray) -> float:
+    distances = []
+    for frame in frames:
+        cloud = measurement.cloud(int(frame))
+        cloud = cloud[:: max(len(cloud) // 200, 1)] @ rotation.T
+        distances.append(np.linalg.norm(cloud[:, None] - joints[frame], axis=-1).min(axis=1))
+    return float(np.median(np.concatenate(distances)))
+
+
+def _require_hanging(measurement: Measurement) -> None:
+    """On pins the cloth hangs below them; if it hangs along -z instead, z is up."""
+    if measurement.pinned_positions is None:
+        return
+    frames = measurement.seen_frames
+    hanging = np.median(
+        [measurement.cloud(int(t)).mean(0) - measurement.pinned_positions[t].mean(0) for t in frames], axis=0
+    )
+    length = float(np.linalg.norm(hanging))
+    if length > 0.1 * _size(measurement) and hanging[1] > -0.3 * length and hanging[2] < -0.8 * length:
+        raise _error(
+            measurement,
+            "the cloth hangs along -z from its pins, so z seems to be up; state up_axis = 'z' in the file (or "
+            "up_axis = 'y' if it does fly that way)",
+        )

@@ -1,0 +1,144 @@
+"""Uniaxial tensile tests: force per width against axial and transverse strain."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from caphy.errors import CaphyError
+
+COLUMNS: Final = ("axial_strain", "transverse_strain", "force_per_width_N_per_m")
+KNIT_COLUMNS: Final = ("sample", "video", "force_per_width_N_per_m", "gauge_len_mm", "pin_transverse_mm")
+UNLOADED: Final = 1.0
+"""Force per width below which a sample counts as unloaded [N/m]; load cells of such tests resolve about 0.1."""
+
+
+@dataclass(frozen=True, eq=False)
+class ForceCurve:
+    """One loading of one strip of cloth.
+
+    Raises :class:`CaphyError` where columns differ in length, are not finite, or look like percent or millimetres.
+    """
+
+    fabric: str
+    direction: str
+    """"weft" or "warp" (for knits: course, wale): the way it was pulled."""
+    loading: int
+    """1 for the first loading of the strip, then 2, 3, ..."""
+    axial: np.ndarray
+    """Engineering strain along the pull, length / rest length - 1, (N,)."""
+    transverse: np.ndarray
+    """Engineering strain across, (N,); NaN where it was not measured."""
+    force: np.ndarray
+    """Force per rest width (N,) [N/m]."""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"{self.source or 'force curve'}: {self.fabric} {self.direction}, loading {self.loading}"
+        columns = {"axial": self.axial, "transverse": self.transverse, "force": self.force}
+        count = len(self.axial)
+        for name, column in columns.items():
+            if column.shape != (count,) or count < 3:
+                raise CaphyError(
+                    f"{where}: {name} must have as many values as the others, at least 3, got {column.shape}"
+                )
+            if name != "transverse" and not np.isfinite(column).all():
+                raise CaphyError(f"{where}: {name} must be finite, got NaN or infinity at row {_first_bad(column)}")
+        if self.direction not in ("weft", "warp"):
+            raise CaphyError(f"{where}: direction must be 'weft' or 'warp', got {self.direction!r}")
+        if np.abs(self.axial).max() > 5 or np.nanmax(np.abs(self.transverse), initial=0) > 5:
+            raise CaphyError(
+                f"{where}: strains must be fractions (0.1 for 10 %), got {np.abs(self.axial).max():.3g}; divide "
+                "percent by 100; a strain is a length over the rest length, less one"
+            )
+
+    @property
+    def name(self) -> str:
+        """Fabric, direction and loading."""
+        return f"{self.fabric} {self.direction} {self.loading}"
+
+
+def read_force_curves(path: str | Path) -> list[ForceCurve]:
+    """All curves of a CSV.
+
+    Columns: fabric, direction (weft, warp), loading, axial_strain, transverse_strain, force_per_width_N_per_m; the
+    first three may be left out. Also read: the table of knit tests by Singal et al. (sample, video, gauge_len_mm, ...),
+    whose course direction (X) is the weft here, and whose strains are measured from the lengths at no load.
+
+    Raises :class:`CaphyError` naming file, line and column.
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaphyError(f"{path}: cannot be read: {error}") from error
+    if not rows:
+        raise CaphyError(f"{path}: a table of force curves needs a header and rows, got none")
+    if set(KNIT_COLUMNS) <= set(rows[0]):
+        return _knit_curves(rows, path)
+    missing = [name for name in COLUMNS if name not in rows[0] and name != "transverse_strain"]
+    if missing:
+        raise CaphyError(
+            f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got {', '.join(rows[0])}"
+        )
+    curves = []
+    for (fabric, direction, loading), part in _groups(rows, ("fabric", "direction", "loading")).items():
+        columns = [_column(part, name, path) if name in rows[0] else np.full(len(part), np.nan) for name in COLUMNS]
+        axial, transverse, force = columns
+        number = int(loading) if loading.isdigit() else 1
+        curves.append(ForceCurve(fabric or path.stem, direction or "weft", number, axial, transverse, force, str(path)))
+    return curves
+
+
+def _knit_curves(rows: Sequence[Mapping[str, str]], path: Path) -> list[ForceCurve]:
+    curves = []
+    for (sample, video), part in _groups(rows, ("sample", "video")).items():
+        fabric, _, axis = sample.rpartition("_")
+        force = _column(part, "force_per_width_N_per_m", path)
+        curves.append(
+            ForceCurve(
+                fabric,
+                {"X": "weft", "Y": "warp"}.get(axis, axis),
+                int("".join(filter(str.isdigit, video)) or 1),
+                _strain(_column(part, "gauge_len_mm", path), force),
+                _strain(_column(part, "pin_transverse_mm", path), force),
+                force,
+                str(path),
+            )
+        )
+    return curves
+
+
+def _strain(length: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Engineering strain against the median length before the load first exceeds :data:`UNLOADED`."""
+    loaded = np.flatnonzero(force > UNLOADED)
+    before = max(int(loaded[0]), 1) if len(loaded) else len(length)
+    return length / np.median(length[:before]) - 1
+
+
+def _groups(rows: Sequence[Mapping[str, str]], keys: tuple[str, ...]) -> dict[tuple[str, ...], list]:
+    """Rows with their line numbers by the values of some columns, in order of appearance."""
+    groups: dict[tuple[str, ...], list] = {}
+    for line, row in enumerate(rows, start=2):
+        groups.setdefault(tuple((row.get(key) or "").strip() for key in keys), []).append((line, row))
+    return groups
+
+
+def _column(part: Sequence[tuple[int, Mapping[str, str]]], name: str, path: Path) -> np.ndarray:
+    values = []
+    for line, row in part:
+        try:
+            values.append(float(row[name]))
+        except (TypeError, ValueError) as error:
+            raise CaphyError(f"{path}: line {line}: {name} must be a number, got {row[name]!r}") from error
+    return np.array(values)
+
+
+def _first_bad(column: np.ndarray) -> int:
+    return int(np.argmax(~np.isfinite(column))) + 1

@@ -1,0 +1,58 @@
+"""Tensile tests: the real knit table against the strains its authors' summary gives, and clear errors."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from caphy.errors import CaphyError
+from caphy.io.measurements import read_force_curves
+
+
+def test_knit_curves_agree_with_the_published_summary(shared_data):
+    curves = read_force_curves(shared_data / "fabric_tests" / "knit_uniaxial.csv")
+    with (shared_data / "fabric_tests" / "knit_uniaxial_summary.csv").open(newline="") as file:
+        summary = {(row["sample"], row["video"]): row for row in csv.DictReader(file)}
+    assert len(curves) == len(summary) == 40
+    assert {curve.direction for curve in curves} == {"weft", "warp"}
+    off = []
+    for curve in curves:
+        axis = "X" if curve.direction == "weft" else "Y"
+        row = summary[f"{curve.fabric}_{axis}", f"video{curve.loading}"]
+        for force in (50, 100, 200):
+            for name, values in (("gauge", curve.axial), ("transverse", curve.transverse)):
+                expected = row[f"{name}_strain_at_{force}Npm"]
+                if expected:
+                    off.append(np.interp(force, np.maximum.accumulate(curve.force), values) - expected)
+    assert len(off) > 200
+    # Lengths at rest are known to half a per cent, and a load cell's ripple moves the crossing by as much.
+    assert np.median(np.abs(off)) < 0.005
+    assert np.quantile(np.abs(off), 0.95) < 0.03
+
+
+def test_plain_table(tmp_path):
+    path = tmp_path / "denim.csv"
+    path.write_text("loading,axial_strain,force_per_width_N_per_m\n1,0,0\n1,0.1,5\n1,0.2,11\n2,0,0\n2,0.1,4\n2,0.2,9\n")
+    first, second = read_force_curves(path)
+    assert (first.fabric, first.direction, first.loading, second.loading) == ("denim", "weft", 1, 2)
+    np.testing.assert_array_equal(second.force, [0, 4, 9])
+    assert np.isnan(first.transverse).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("axial_strain,force_per_width_N_per_m\n0,0\n5,1\n20,2\n", "divide percent by 100"),
+        ("axial_strain,force_per_width_N_per_m\n0,0\nx,1\n1,2\n", "line 3: axial_strain must be a number, got 'x'"),
+        ("strain,force\n0,0\n", "needs the columns"),
+        ("axial_strain,force_per_width_N_per_m\n", "header and rows"),
+        ("direction,axial_strain,force_per_width_N_per_m\nup,0,0\nup,0.1,1\nup,0.2,2\n", "'weft' or 'warp', got 'up'"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_told(tmp_path, text, says):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(CaphyError, match=says):
+        read_force_curves(path)
