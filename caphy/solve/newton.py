@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,13 +24,13 @@ SAFE_TRAVEL = 0.01
 
 _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 _HALVINGS = 30
+_LONGEST = 16
 _SLOW = 0.5  # fall of the residual in one iteration that counts as slow
 
 Body = Callable[[Tensor], BodyState]
 """What positions (V, 3) [m] see of the body at the time of the step."""
 
 _STILL = 1e-3  # vertices that move less than this [m] in an iteration keep their contact planes
-_RENEWALS = 2
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,12 @@ class _Planes:
     The distance to a body has creases where two surfaces are equally near, as in an armpit or along the concave edges
     of its mesh. The minimum of a penalty likes to lie right on a crease, where its gradient jumps and no method that
     looks for zero gradient can settle. Once no vertex moves by a millimetre its contact plane is therefore kept, and
-    renewed a few times at convergence: vertices off the creases meet the tolerance with their true planes, vertices
+    renewed once at convergence: vertices off the creases meet the tolerance with their true planes, vertices
     on a crease rest on one of its two sides.
     """
 
     def __init__(self, body: Body | None) -> None:
-        self._body, self._kept, self._renewals = body, None, 0
+        self._body, self._kept, self._renewed = body, None, False
 
     @property
     def view(self) -> Body | None:
@@ -89,9 +90,9 @@ class _Planes:
 
     def settled(self, x: Tensor) -> bool:
         """Whether convergence is final; if not, the planes at positions x (V, 3) are to be seen from now on."""
-        if self._kept is None or self._body is None or self._renewals == _RENEWALS:
+        if self._kept is None or self._body is None or self._renewed:
             return True
-        self._kept, self._renewals = self._body(x), self._renewals + 1
+        self._kept, self._renewed = self._body(x), True
         return False
 
 
@@ -116,6 +117,12 @@ class Newton:
         self.hessian = Hessian(potential, fixed)
         self._free = None if fixed is None else (~fixed).astype(float)[:, None]
         self._mass = potential.cloth.mass
+
+    def within(self, tolerance: float) -> Newton:
+        """The same solver with another tolerance [N]; everything prepared is shared."""
+        other = copy(self)
+        other.tolerance = tolerance
+        return other
 
     def minimise(
         self, guess: Tensor, step: Step | None, body: Body | None = None, damping: float = 0.0
@@ -143,13 +150,13 @@ class Newton:
                 here = self._evaluate(here.x, step, planes.view)
                 continue
             direction, damping = self._direction(here, step, damping, slow)
-            there, fraction = self._search(here, direction, step, planes.view)
+            there, fraction = self._search(here, direction, step, planes.view, slow)
             if there is None:
                 if damping > 1e12:
                     return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
                 damping = max(100 * damping, 1.0)
                 continue
-            damping = damping / 4 if fraction == 1 else damping
+            damping = damping / 4 if fraction >= 1 else damping
             slow = there.residual > _SLOW * here.residual
             planes.moved(here, there)
             here = there
@@ -195,9 +202,12 @@ class Newton:
             damping = max(10 * damping, 1e-3)
 
     def _search(
-        self, here: _Point, direction: np.ndarray, step: Step | None, body: Body | None
+        self, here: _Point, direction: np.ndarray, step: Step | None, body: Body | None, slow: bool
     ) -> tuple[_Point | None, float]:
-        """The first halving of a safe step that lowers the energy enough (Armijo), and its fraction."""
+        """The first halving of a safe step that lowers the energy enough (Armijo), and its fraction.
+
+        Where progress is slow (cloth about to buckle) full steps are doubled while that lowers the energy further.
+        """
         slope = float((here.gradient * direction).sum())
         rounding = 1e-13 * max(abs(here.energy), 1.0)
         fraction = min(1.0, _safe_fraction(here, direction))
@@ -205,9 +215,16 @@ class Newton:
         for _ in range(_HALVINGS):
             there = self._evaluate(here.x + fraction * move, step, body)
             if there.energy <= here.energy + _SUFFICIENT * fraction * slope + rounding:
-                return there, fraction
+                break
             fraction /= 2
-        return None, 0.0
+        else:
+            return None, 0.0
+        while slow and 1 <= fraction < _LONGEST:
+            farther = self._evaluate(here.x + 2 * fraction * move, step, body)
+            if not farther.energy < there.energy:
+                break
+            there, fraction = farther, 2 * fraction
+        return there, fraction
 
 
 def _safe_fraction(here: _Point, direction: np.ndarray) -> float:

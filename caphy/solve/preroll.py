@@ -18,6 +18,7 @@ SECONDS = 1.0
 """Length of the way from the T-pose into the first frame [s]."""
 
 _FPS = 30.0
+_TOLERANCE = 1e-3  # newtons: about a vertex's weight, plenty on the way to a start
 _RUN_UP = 0.1  # seconds of the first frame's own motion that the preroll anticipates
 
 
@@ -54,7 +55,7 @@ def start_state(newton: Newton, motion: BodyMotion, seconds: float = SECONDS) ->
     anchors = way.anchors(np.array([0.0, 1 / way.fps]))
     x = torch.from_numpy(anchors[0].copy())
     state = State(0.0, x, torch.from_numpy((anchors[1] - anchors[0]) * way.fps))
-    simulator = Simulator(newton, way, ImplicitEuler())
+    simulator = Simulator(newton.within(max(newton.tolerance, _TOLERANCE)), way, ImplicitEuler())
     for _ in range(len(way) - 1):
         state, _ = simulator.advance(state, 1 / way.fps)
     return State(0.0, state.x, state.v)

@@ -1,0 +1,130 @@
+"""The moving body as cloth sees it, and cloth resting on it."""
+
+import numpy as np
+import pytest
+import torch
+
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.errors import CaphyError
+from caphy.io.poses import PoseSequence
+from caphy.solve.body_motion import BodyMotion, state_on_faces
+from caphy.solve.newton import Newton
+from caphy.solve.preroll import preroll_poses
+from caphy.solve.rollout import State, simulate
+from caphy.solve.statics import drape_on_body
+
+DENSITY = 0.2
+RESTING = 0.004 - np.sqrt(DENSITY * 9.81 / 3e8)
+"""Height of cloth on a plane: the contact pressure 3 k d^2 carries rho g."""
+
+
+def sliding(turn=0.0, speed=0.6, frames=7, fps=30.0):
+    poses = np.zeros((frames, 55, 3))
+    poses[:, 0, 1] = turn * np.arange(frames)
+    transl = np.outer(np.arange(frames) / fps, [speed, 0, 0])
+    return PoseSequence(poses, transl, fps)
+
+
+def potential_of(garment, **effects):
+    model = Model(DENSITY, {"strain_stvk": {}, "bending": {}, "gravity": {}, "inertia": {}, "body_contact": {}, **effects})
+    return Potential(model, Cloth.of(garment, DENSITY))
+
+
+def test_state_of_a_sliding_box(box_body, mat):
+    motion = BodyMotion(box_body, sliding(), mat)
+    time = 3.4 / 30
+    x = motion.anchors(np.array([time]))[0]
+    np.testing.assert_allclose(x, mat.vertices + [0.6 * time, 0, 0], atol=1e-12)
+    state = motion.state(time, x, 1 / 30)
+    np.testing.assert_allclose(state.normal, np.broadcast_to([0, 1, 0], x.shape), atol=1e-9)
+    np.testing.assert_allclose(state.velocity, np.broadcast_to([0.6, 0, 0], x.shape), atol=1e-9)
+    np.testing.assert_allclose(state.point, x - [0, 0.01, 0], atol=1e-9)
+    np.testing.assert_allclose(state.anchor, x)
+
+
+def test_between_frames_limbs_turn_rigidly(box_body, mat):
+    """Half-way through a turn of 0.8 rad the box is turned by 0.4 rad and keeps its size; a lerp would shrink it."""
+    motion = BodyMotion(box_body, sliding(turn=0.8, speed=0.0), mat)
+    (half,) = motion.vertices(np.array([0.5 / 30]))
+    c, s = np.cos(0.4), np.sin(0.4)
+    np.testing.assert_allclose(half, box_body.v_template @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]), atol=1e-12)
+
+
+def test_cloth_on_the_body_is_carried_along(box_body, mat):
+    motion = BodyMotion(box_body, sliding(turn=0.3), mat)
+    x = motion.anchors(np.array([0.0]))[0] - [0, 0.0099, 0]
+    guess = motion.carried(x, np.full_like(x, 9.0), 0.0, 0.1)
+    expected = motion.anchors(np.array([0.1]))[0] - [0, 0.0099, 0]
+    np.testing.assert_allclose(guess, expected, atol=0.03)
+
+
+def test_batches_with_known_faces_see_the_same(box_body, mat):
+    motion = BodyMotion(box_body, sliding(turn=0.1), mat)
+    times = motion.times[1:4]
+    x = motion.anchors(times) + 0.002
+    expected, faces = motion.states(times, x, 1 / 30)
+    now, before = (torch.from_numpy(motion.vertices(t)) for t in (times, times - 1 / 30))
+    triangles = torch.from_numpy(box_body.faces.astype(np.int64))
+    found = state_on_faces(
+        torch.from_numpy(x), torch.from_numpy(faces), now, before, expected.anchor, triangles, 1 / 30
+    )
+    for name in ("point", "normal", "velocity", "anchor"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-9)
+
+
+def test_cloth_rests_where_contact_carries_its_weight(box_body, mat):
+    motion = BodyMotion(box_body, sliding()[:1], mat)
+    x, report = drape_on_body(Newton(potential_of(mat), tolerance=1e-8), motion)
+    assert report.converged
+    np.testing.assert_allclose(x[:, 1], RESTING, rtol=1e-3)
+
+
+def test_dropped_cloth_stays_on_top(box_body, mat):
+    """A fall at 10 m/s, a third of a metre per frame, onto a box 0.4 m thick: no tunnelling, no explosion."""
+    motion = BodyMotion(box_body, sliding(speed=0.0, frames=12), mat)
+    x = torch.from_numpy(mat.vertices + [0, 0.3, 0])
+    start = State(0.0, x, torch.tensor([0.0, -10.0, 0.0], dtype=torch.float64).expand_as(x))
+    trajectory = simulate(potential_of(mat), motion, start)
+    assert trajectory.converged.all()
+    assert trajectory.positions[:, :, 1].min() > -0.001
+    assert np.isfinite(trajectory.positions).all()
+
+
+def test_without_friction_the_box_slides_away_underneath(box_body, mat):
+    motion = BodyMotion(box_body, sliding(speed=0.5), mat)
+    x = torch.from_numpy(mat.vertices * [1, 0, 1] + [0, RESTING, 0])
+    trajectory = simulate(potential_of(mat), motion, State(0.0, x, torch.zeros_like(x)))
+    np.testing.assert_allclose(trajectory.positions[-1], x, atol=1e-4)
+    assert trajectory.residual.max() <= 5e-5
+
+
+def test_trajectory_file(box_body, mat, tmp_path):
+    motion = BodyMotion(box_body, sliding(frames=3), mat)
+    x = torch.from_numpy(mat.vertices)
+    trajectory = simulate(potential_of(mat), motion, State(0.0, x, torch.zeros_like(x)))
+    trajectory.save(tmp_path / "out.npz")
+    with np.load(tmp_path / "out.npz", allow_pickle=False) as file:
+        np.testing.assert_allclose(file["positions"], trajectory.positions, atol=1e-6)
+        assert file["converged"].all() and file["fps"] == 30
+
+
+def test_start_of_the_wrong_size_is_refused(box_body, mat):
+    motion = BodyMotion(box_body, sliding(), mat)
+    x = torch.zeros(5, 3, dtype=torch.float64)
+    with pytest.raises(CaphyError, match=r"positions \(36, 3\), got \(5, 3\)"):
+        simulate(potential_of(mat), motion, State(0.0, x, x))
+
+
+def test_preroll_arrives_with_the_motion():
+    """Last pose and speed of the way equal the motion's first; the first pose is the T-pose, heading kept."""
+    rng = np.random.default_rng(0)
+    poses = np.repeat(rng.normal(size=(1, 55, 3)), 2, axis=0)
+    poses[1, :, 0] += 0.05
+    sequence = PoseSequence(poses, np.array([[0, 1, 0], [0.05, 1, 0]]), 30.0)
+    way = preroll_poses(sequence)
+    np.testing.assert_allclose(way.poses[-1], poses[0], atol=1e-12)
+    np.testing.assert_allclose(way.poses[0, 1:], 0, atol=1e-9)
+    np.testing.assert_allclose(way.poses[0, 0], way.poses[-1, 0], atol=0.5)
+    np.testing.assert_allclose(np.diff(way.transl, axis=0), np.broadcast_to([0.05, 0, 0], (30, 3)), atol=1e-12)
