@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 
 import cv2
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 import trimesh
 
 from caphy.cli import main
+from caphy.commands.demo import _service
 from caphy.io.poses import write_poses
+from service.client import Client
 
 
 def test_demo_writes_a_glb_and_a_sheet(avatars, motion, tmp_path, capsys):
@@ -41,6 +44,18 @@ def test_demo_without_an_avatar_says_what_to_do(tmp_path, capsys):
 def test_serve_refuses_in_words(arguments, word, capsys):
     assert main(["serve", *arguments]) == 2
     assert word in capsys.readouterr().err
+
+
+def test_small_answers_do_not_wait(avatars, motion):
+    """Nagle's algorithm and delayed acknowledgements together hold a small answer back for 40 ms."""
+    with _service(avatars) as url:
+        client = Client(url)
+        waits = []
+        for frame in range(20):
+            started = time.perf_counter()
+            client.frames("shell", motion[frame : frame + 1])
+            waits.append(time.perf_counter() - started - 1e-3 * sum(client.server_timing.values()))
+    assert sorted(waits)[5] < 0.03
 
 
 def test_serve_on_a_port_in_use(avatars, capsys):
