@@ -80,16 +80,18 @@ def test_default_contact_gives_by_less_than_a_millimetre(pressure: float) -> Non
     assert float(push) > pressure
 
 
-def test_friction_slides_at_the_coefficient_and_sticks_below_it() -> None:
+@pytest.mark.parametrize("lift", [0.0, 0.6, -0.6])
+def test_friction_slides_at_the_coefficient_and_sticks_below_it(lift: float) -> None:
+    """On a floor that slides under the cloth, and rises or sinks with it."""
     cloth = flat_cloth()
     x = lying(cloth) + 0.0045 * UP  # half a millimetre deep
     normal_force = 3e8 * 0.0005**2 * 0.012
     effects: dict[str, Any] = {"body_contact": {}, "body_friction": {"coefficient": 0.3, "slip": 0.001}}
     step = Step.implicit_euler(DT, x, x)
     for speed, share in ((1.0, 1.0), (0.001, 1 / np.sqrt(2)), (0.0, 0.0)):
-        body = floor(x, velocity=(speed, 0, 0))
+        body = floor(x, velocity=(speed, lift, 0))
         body = BodyState(body.point + DT * body.velocity, body.normal, body.velocity, body.anchor)
-        pulled = -gradient(x, step, body, **effects).sum(0)
+        pulled = -gradient(x + DT * lift * UP, step, body, **effects).sum(0)
         assert float(pulled[0]) == pytest.approx(0.3 * normal_force * share, rel=1e-4, abs=1e-12)
         assert float(pulled[1]) == pytest.approx(normal_force, rel=1e-9)
 
