@@ -1,0 +1,172 @@
+"""``caphy compare MODEL MEASUREMENT... -o DIR``: where a model fails, when, and how much of it is noise."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.effects.model import Model
+    from caphy.io.bundle import AvatarBundle
+    from caphy.io.measurements import Measurement
+    from caphy.measure.comparison import Comparison
+    from caphy.report.page.compose import Section
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare a model with measurements: compare.json with every figure, and compare.html to look at."""
+
+    model: tyro.conf.Positional[str]
+    """A physics model's JSON, "snug", a measured fabric's name, or the folder of a trained avatar."""
+    measurements: tyro.conf.Positional[tuple[Path, ...]]
+    """Measurements: .npz files or folders, see docs/measurements.md."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the results."""
+    garment: str | None = None
+    """The garment's .npz where the measurement carries no rest shape; for an avatar the garment's name."""
+    body: Path | None = None
+    """An SMPL-X-format .npz, if it is not the bundled body."""
+    window: int = 8
+    """Frames that a physics model runs before it is restarted from the measurement."""
+    effect_file: tuple[Path, ...] = ()
+    """Python files with effects of your own that the model uses."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy compare`` with the arguments after it."""
+    command = tyro.cli(Compare, args=arguments, prog="caphy compare")
+    if not command.measurements:
+        raise CaphyError("give at least one measurement")
+    if command.window < 1:
+        raise CaphyError(f"--window must be at least one frame, got {command.window}")
+    comparisons = [_compared(command, path) for path in command.measurements]
+    write(comparisons, f"{_title(command.model)} against {_listed(command.measurements)}", command)
+
+
+def write(comparisons: Sequence[Comparison], title: str, command: Compare) -> None:
+    """Write compare.json and compare.html, and say the first sentences."""
+    from caphy import __version__
+    from caphy.measure.pictures import section
+    from caphy.report.page.compose import comparison_page
+
+    facts = {"model": command.model, "written by": f"caphy {__version__}"}
+    sections: list[Section] = [section(comparison) for comparison in comparisons]
+    page = comparison_page(title, sections, facts)
+    document = {"schema": "caphy-comparison-1", **facts, "comparisons": [c.figures for c in comparisons]}
+    command.output.mkdir(parents=True, exist_ok=True)
+    written = {"compare.json": json.dumps(document, indent=1, allow_nan=False), "compare.html": page}
+    for name, text in written.items():
+        _write_text(command.output / name, text)
+    for comparison in comparisons:
+        print(f"\n{comparison.figures['measurement']['name']}")
+        print("\n".join(f"  {sentence}" for sentence in comparison.figures["sentences"]))
+    print(f"\n{command.output / 'compare.html'}")
+
+
+def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBundle:
+    """The physics model of a JSON file or name, or the avatar in a folder; raises :class:`CaphyError`."""
+    path = Path(name)
+    if path.is_dir():
+        from caphy.io.bundle import read_bundle
+
+        return read_bundle(path)
+    from caphy.effects.model import Model
+    from caphy.effects.presets import fabric_model, snug_model
+    from caphy.effects.registry import register_file
+    from caphy.material.fabrics import fabric_names
+
+    for file in effect_files:
+        register_file(file)
+    if path.suffix == ".json" or path.exists():
+        return Model.load(path)
+    if name == "snug":
+        return snug_model()
+    if name in fabric_names():
+        return fabric_model(name)
+    raise CaphyError(
+        f"there is no model {name!r}: give a physics model's JSON, an avatar's folder, snug, or one of the fabrics "
+        f"{', '.join(fabric_names())}"
+    )
+
+
+def _compared(command: Compare, path: Path) -> Comparison:
+    from caphy.effects.model import Model
+    from caphy.io.measurements import read_measurement
+
+    measurement, model = read_measurement(path), load_model(command.model, command.effect_file)
+    if isinstance(model, Model):
+        return _with_physics(command, model, measurement)
+    return _with_avatar(command, model, measurement)
+
+
+def _with_physics(command: Compare, model: Model, measurement: Measurement) -> Comparison:
+    from caphy.body.model import BodyModel
+    from caphy.garment.template import Garment
+    from caphy.measure.comparison import compare
+    from caphy.measure.prediction import predict_in_windows
+    from caphy.measure.scene import Scene, with_regions
+
+    garment = None if command.garment is None else Garment.load(command.garment)
+    scene = Scene.of(measurement, garment, None if command.body is None else BodyModel.load(command.body))
+    with Progress(measurement.name) as progress:
+        prediction = predict_in_windows(scene, model, command.window, progress)
+        progress("comparing", 1, 1)
+    return compare(prediction, measurement, scene, with_regions(measurement, scene.garment).regions)
+
+
+def _with_avatar(command: Compare, bundle: AvatarBundle, measurement: Measurement) -> Comparison:
+    import numpy as np
+
+    from caphy.measure.avatar import matching_garment, predict_with_avatar
+    from caphy.measure.comparison import compare
+
+    garment = matching_garment(measurement, bundle, command.garment)
+    prediction = predict_with_avatar(measurement, bundle, garment)
+    return compare(prediction, measurement, None, np.array(garment.mesh.region_names)[garment.mesh.region])
+
+
+class Progress:
+    """A bar with an estimate of the time left, on the error stream."""
+
+    def __init__(self, name: str) -> None:
+        from tqdm import tqdm
+
+        self._bar = tqdm(total=1, desc=name, unit="window", leave=False)
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        self._bar.total = total
+        self._bar.set_postfix_str(what, refresh=False)
+        self._bar.update(done - self._bar.n)
+
+
+def _title(model: str) -> str:
+    return Path(model).stem
+
+
+def _listed(paths: Sequence[Path]) -> str:
+    names = [path.stem for path in paths]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _write_text(path: Path, text: str) -> None:
+    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    os.chmod(partial, 0o644)
+    os.replace(partial, path)

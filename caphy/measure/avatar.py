@@ -1,0 +1,97 @@
+"""Trained avatars on the motion of a measurement: the exported ONNX graph, frame after frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.io.bundle import AvatarBundle, BundledGarment
+from caphy.io.measurements import Measurement
+from caphy.io.poses import PoseSequence
+from caphy.measure.prediction import Prediction
+
+_CHUNK = 120
+_FRAMES_PER_GROUP = 8  # rows that belong together when uncertainty is told, as in windows of the solver
+
+
+def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment: BundledGarment) -> Prediction:
+    """What an avatar's garment does in a measured motion, preroll included, at the measured frames.
+
+    The network runs at the bundle's frame rate; positions between its frames are interpolated linearly.
+
+    Raises:
+        CaphyError: the measurement has no poses, or the graph cannot be run.
+    """
+    motion, before = _motion(measurement)
+    resampled = motion.resample(bundle.fps)
+    vertices = run_graph(garment, resampled.poses, resampled.transl)
+    frames = measurement.seen_frames
+    place = np.clip((frames + before) * bundle.fps / measurement.fps, 0, len(vertices) - 1)
+    first = np.minimum(place.astype(int), max(len(vertices) - 2, 0))
+    share = (place - first)[:, None, None]
+    second = np.minimum(first + 1, len(vertices) - 1)
+    faces = garment.mesh.faces
+    return Prediction(
+        frames=frames,
+        vertices=(1 - share) * vertices[first] + share * vertices[second],
+        faces=faces,
+        registered=measurement.faces is not None
+        and measurement.registered
+        and np.array_equal(measurement.faces, faces),
+        lag=None,
+        window=frames // _FRAMES_PER_GROUP,
+        converged=np.ones(len(frames), bool),
+    )
+
+
+def matching_garment(measurement: Measurement, bundle: AvatarBundle, name: str | None = None) -> BundledGarment:
+    """The avatar's garment to compare: the named one, the one with the measured mesh, or the only one there is."""
+    if name is not None:
+        return bundle.garment(name)
+    same = [
+        g for g in bundle.garments if measurement.faces is not None and np.array_equal(g.mesh.faces, measurement.faces)
+    ]
+    if len(same) == 1 or len(bundle.garments) == 1:
+        return (same or list(bundle.garments))[0]
+    names = ", ".join(g.name for g in bundle.garments)
+    raise CaphyError(f"{measurement.source}: which garment of avatar {bundle.name!r} is it? Give one of {names}")
+
+
+def run_graph(garment: BundledGarment, poses: np.ndarray, transl: np.ndarray) -> np.ndarray:
+    """Vertices (T, V, 3) [m] of poses (T, 55, 3) [rad] and translations (T, 3) [m], from the initial state."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    try:
+        session = onnxruntime.InferenceSession(garment.onnx, options, providers=["CPUExecutionProvider"])
+        state, parts = np.zeros(garment.state_size, np.float32), []
+        for start in range(0, len(poses), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            feed = {
+                "poses": poses[chunk].astype(np.float32),
+                "transl": transl[chunk].astype(np.float32),
+                "state": state,
+            }
+            vertices, state = session.run(["vertices", "state"], feed)
+            parts.append(vertices)
+    except Exception as error:
+        raise CaphyError(f"garment {garment.name!r}: its graph cannot be run: {error}; export it again") from error
+    return np.concatenate(parts).astype(np.float64)
+
+
+def _motion(measurement: Measurement) -> tuple[PoseSequence, int]:
+    """Preroll and motion as one sequence, and the number of preroll frames."""
+    if measurement.poses is None or measurement.transl is None:
+        where = measurement.source or measurement.name
+        raise CaphyError(
+            f"{where}: an avatar is driven by poses (T, 55, 3) and transl (T, 3); the measurement has none"
+        )
+    motion = PoseSequence(measurement.poses, measurement.transl, measurement.fps, source=measurement.source)
+    if measurement.preroll_poses is None or measurement.preroll_transl is None:
+        return motion, 0
+    poses = np.concatenate([measurement.preroll_poses, measurement.poses])
+    transl = np.concatenate([measurement.preroll_transl, measurement.transl])
+    return replace(motion, poses=poses, transl=transl), len(measurement.preroll_poses)

@@ -1,0 +1,218 @@
+"""One model against one measurement: every figure, ready for JSON, and the fields behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from caphy.io.measurements import Measurement
+from caphy.measure.covariates import Covariate, covariates
+from caphy.measure.errors import SurfaceErrors, VertexErrors, surface_errors, vertex_errors
+from caphy.measure.noise import measurement_noise
+from caphy.measure.prediction import Prediction
+from caphy.measure.scene import Scene
+from caphy.measure.sentences import sentences
+from caphy.measure.statistics import MILLI, binned, contrast, interval, mean_mm, summary
+
+WORST = 4
+"""Worst moments that are reported."""
+APART = 5
+"""Frames that two reported moments are apart at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Figures (JSON) and the fields they come from."""
+
+    figures: dict
+    prediction: Prediction
+    measurement: Measurement
+    errors: VertexErrors
+    regions: np.ndarray
+    scene: Scene | None
+
+
+def compare(
+    prediction: Prediction, measurement: Measurement, scene: Scene | None, names: np.ndarray | None = None
+) -> Comparison:
+    """Compare what a model predicts with what was measured; ``names`` (V,) are the regions of the model's mesh."""
+    surface = surface_errors(prediction, measurement)
+    errors = vertex_errors(prediction, measurement) if prediction.registered else _as_vertex_errors(surface)
+    regions = region_names(prediction, names)
+    found = covariates(prediction, measurement, scene)
+    figures = {
+        "measurement": _about(measurement),
+        "prediction": _prediction(prediction),
+        "error": _overall(errors, surface, prediction),
+        "floor": _floor(prediction, measurement, errors),
+        "by_frame": _by_frame(prediction, errors, surface),
+        "by_lag": _by_lag(prediction, errors),
+        "by_region": _by_region(prediction, errors, regions),
+        "by_covariate": [_by_covariate(c, errors, prediction) for c in found],
+        "moments": _moments(prediction, measurement, errors, regions),
+    }
+    figures["sentences"] = sentences(figures)
+    return Comparison(figures, prediction, measurement, errors, regions, scene)
+
+
+def region_names(prediction: Prediction, names: np.ndarray | None) -> np.ndarray:
+    """The given names (V,), or thirds by height where there are none."""
+    if names is not None and len(np.unique(names)) > 1:
+        return names
+    height = prediction.vertices[..., 1].mean(axis=0)
+    third = np.searchsorted(np.quantile(height, (1 / 3, 2 / 3)), height)
+    return np.array(["lower third", "middle third", "upper third"])[third]
+
+
+def _as_vertex_errors(surface: SurfaceErrors) -> VertexErrors:
+    """Distances to the surface where vertices cannot be matched; their other parts are unknown."""
+    unknown = np.full_like(surface.vertex, np.nan)
+    return VertexErrors(np.abs(surface.vertex), -surface.vertex, unknown, unknown)
+
+
+def _about(measurement: Measurement) -> dict:
+    return {
+        "name": measurement.name,
+        "source": measurement.source,
+        "fps": measurement.fps,
+        "frames": len(measurement),
+        "frames_seen": len(measurement.seen_frames),
+        "registered": measurement.registered,
+        "holes": float(1 - measurement.observed[measurement.seen_frames].mean()) if measurement.registered else None,
+        "notes": list(measurement.notes),
+    }
+
+
+def _prediction(prediction: Prediction) -> dict:
+    return {
+        "rows": len(prediction.frames),
+        "restarted": prediction.lag is not None,
+        "windows": len(np.unique(prediction.window)) if prediction.lag is not None else None,
+        "window_frames": int(prediction.lag.max()) if prediction.lag is not None else None,
+        "matched_vertices": prediction.registered,
+        "converged": float(prediction.converged.mean()),
+    }
+
+
+def _overall(errors: VertexErrors, surface: SurfaceErrors, prediction: Prediction) -> dict:
+    signed = np.concatenate(surface.signed)
+    return {
+        **summary(errors.distance),
+        "interval_mm": _median_interval(errors.distance, prediction.window),
+        "normal_median_mm": summary(np.abs(errors.normal))["median_mm"],
+        "normal_mean_mm": mean_mm(errors.normal),
+        "along_median_mm": summary(errors.along)["median_mm"],
+        "down_mean_mm": mean_mm(errors.down),
+        "surface_median_mm": summary(np.abs(signed))["median_mm"],
+        "surface_p95_mm": summary(np.abs(signed))["p95_mm"],
+        "surface_signed_mean_mm": mean_mm(signed),
+        "chamfer_mm": mean_mm(surface.chamfer),
+    }
+
+
+def _median_interval(distance: np.ndarray, window: np.ndarray) -> tuple[float, float] | None:
+    if len(np.unique(window)) < 4:
+        return None
+    return interval(lambda rows: MILLI * float(np.nanmedian(distance[rows])), window)
+
+
+def _floor(prediction: Prediction, measurement: Measurement, errors: VertexErrors) -> dict:
+    """What noise, the solver's time step and the restarts explain of the median, and what they leave, in quadrature."""
+    noise = measurement_noise(measurement)
+    step = None if prediction.step_error is None else summary(prediction.step_error)["median_mm"]
+    start = None if prediction.start_error is None else summary(prediction.start_error)["median_mm"]
+    # Of a distance to a surface only the noise across it counts; its median is 0.67 sigma.
+    expected = None if noise is None else MILLI * (noise.median if prediction.registered else 0.6745 * noise.sigma)
+    total = summary(errors.distance)["median_mm"]
+    explained = sum((part or 0) ** 2 for part in (expected, step, start)) ** 0.5
+    left = None if total is None else max(total**2 - explained**2, 0) ** 0.5
+    return {
+        "noise_sigma_mm": None if noise is None else MILLI * noise.sigma,
+        "noise_source": None if noise is None else noise.source,
+        "noise_median_mm": expected,
+        "time_step_median_mm": step,
+        "restart_median_mm": start,
+        "explained_mm": explained,
+        "unexplained_mm": left,
+    }
+
+
+def _by_frame(prediction: Prediction, errors: VertexErrors, surface: SurfaceErrors) -> dict:
+    rows = [summary(row) for row in errors.distance]
+    return {
+        "frame": prediction.frames.tolist(),
+        "median_mm": [row["median_mm"] for row in rows],
+        "p95_mm": [row["p95_mm"] for row in rows],
+        "chamfer_mm": [None if np.isnan(c) else MILLI * float(c) for c in surface.chamfer],
+        "window": prediction.window.tolist(),
+    }
+
+
+def _by_lag(prediction: Prediction, errors: VertexErrors) -> list[dict]:
+    if prediction.lag is None:
+        return []
+    return [{"lag": int(k), **summary(errors.distance[prediction.lag == k])} for k in np.unique(prediction.lag)]
+
+
+def _by_region(prediction: Prediction, errors: VertexErrors, regions: np.ndarray) -> list[dict]:
+    """Regions from the worst to the best."""
+    rows = []
+    for name in np.unique(regions):
+        part = regions == name
+        down = errors.down[:, part]
+        rows.append(
+            {
+                "region": str(name),
+                **summary(errors.distance[:, part]),
+                "normal_mm": mean_mm(errors.normal[:, part]),
+                "along_mm": summary(errors.along[:, part])["median_mm"],
+                "down_mm": mean_mm(down),
+                "down_interval_mm": _mean_interval(down, prediction.window),
+            }
+        )
+    return sorted(rows, key=lambda row: -(row["median_mm"] or 0))
+
+
+def _mean_interval(values: np.ndarray, window: np.ndarray) -> tuple[float, float] | None:
+    if len(np.unique(window)) < 4 or not np.isfinite(values).any():
+        return None
+    total, count = np.nansum(values, axis=1), np.isfinite(values).sum(axis=1)
+    return interval(lambda rows: MILLI * float(total[rows].sum() / max(count[rows].sum(), 1)), window)
+
+
+def _by_covariate(covariate: Covariate, errors: VertexErrors, prediction: Prediction) -> dict:
+    return {
+        "name": covariate.name,
+        "unit": covariate.unit,
+        "when": covariate.when,
+        "bins": binned(covariate.values, errors.distance),
+        "contrast": contrast(covariate.values, errors.distance, prediction.window),
+    }
+
+
+def _moments(prediction: Prediction, measurement: Measurement, errors: VertexErrors, regions: np.ndarray) -> list[dict]:
+    """The worst pairs of frame and region, apart in time, the worst first."""
+    names = np.unique(regions)
+    parts = [errors.distance[:, regions == name] for name in names]
+    table = np.stack([[summary(row)["median_mm"] or 0.0 for row in part] for part in parts], axis=1)  # (N, R)
+    found: list[dict] = []
+    for place in np.argsort(-table, axis=None):
+        row, region = np.unravel_index(place, table.shape)
+        frame = int(prediction.frames[row])
+        if table[row, region] == 0 or len(found) == WORST:
+            break
+        if all(abs(frame - other["frame"]) >= APART for other in found):
+            part = regions == names[region]
+            found.append(
+                {
+                    "frame": frame,
+                    "row": int(row),
+                    "time_s": frame / measurement.fps,
+                    "region": str(names[region]),
+                    "median_mm": float(table[row, region]),
+                    "down_mm": mean_mm(errors.down[row, part]),
+                    "normal_mm": mean_mm(errors.normal[row, part]),
+                }
+            )
+    return found

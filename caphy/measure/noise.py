@@ -1,0 +1,76 @@
+"""How much of an error is the measurement's own noise, estimated from the measurement where it does not say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from caphy.io.measurements import Measurement
+from caphy.measure.local_fit import cubic_residuals
+
+MEDIAN_NORM: Final = 1.5382
+"""Median length of a vector of three standard normal numbers: the root of the median of chi-square with 3 degrees."""
+P95_NORM: Final = 2.7955
+"""Its 95th percentile."""
+
+_MEDIAN_CHI2_3 = 2.36597 / 3  # median over mean of chi-square with 3 degrees, one for each coordinate
+_CALM = 0.1  # share of the frames, the calmest, that noise is read from: fast motion is not cubic
+_NEIGHBOURS = 12
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation of each coordinate [m] and where the figure comes from."""
+
+    sigma: float
+    source: str
+
+    @property
+    def median(self) -> float:
+        """Median distance between a true and a measured vertex [m]."""
+        return MEDIAN_NORM * self.sigma
+
+
+def measurement_noise(measurement: Measurement) -> Noise | None:
+    """What the file states, else an estimate; none if there is too little to tell.
+
+    Registered tracks: what cubics over five frames leave in the calmest tenth of the frames, so an upper bound
+    where even those move abruptly, and blind to noise that lasts over several frames (a wrong calibration). Clouds:
+    the thickness of the point set around local planes.
+    """
+    if measurement.noise_mm is not None:
+        return Noise(1e-3 * measurement.noise_mm, "stated in the measurement")
+    if measurement.noise is not None:
+        return Noise(float(np.nanmedian(measurement.noise)), "stated in the measurement, median over points")
+    if measurement.vertices is not None:
+        return _of_tracks(measurement)
+    return _of_clouds(measurement)
+
+
+def _of_tracks(measurement: Measurement) -> Noise | None:
+    assert measurement.vertices is not None
+    residual = cubic_residuals(measurement.vertices, measurement.observed)
+    enough = np.isfinite(residual).sum(axis=1) >= 8
+    if not enough.any():
+        return None
+    variance = np.nanmedian(residual[enough], axis=1) / _MEDIAN_CHI2_3
+    return Noise(float(np.sqrt(np.quantile(variance, _CALM))), "estimated from cubics over five frames")
+
+
+def _of_clouds(measurement: Measurement) -> Noise | None:
+    from scipy.spatial import KDTree
+
+    variances = []
+    for frame in measurement.seen_frames[:: max(len(measurement.seen_frames) // 6, 1)]:
+        cloud = measurement.cloud(int(frame))
+        if len(cloud) < 4 * _NEIGHBOURS:
+            continue
+        some = cloud[:: max(len(cloud) // 500, 1)]
+        near = cloud[KDTree(cloud).query(some, _NEIGHBOURS)[1]]
+        spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", *(2 * [near - near.mean(1, keepdims=True)])))
+        variances.append(np.median(spread[:, 0]) / (_NEIGHBOURS - 3))
+    if not variances:
+        return None
+    return Noise(float(np.sqrt(np.median(variances))), "estimated from the thickness of the clouds")

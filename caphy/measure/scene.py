@@ -1,0 +1,160 @@
+"""A measurement made ready for the solver: cloth, pins, body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.interpolate import CubicSpline
+from torch import Tensor
+
+from caphy.body.bundled import default_body
+from caphy.body.model import BodyModel
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.errors import CaphyError
+from caphy.garment.template import Garment
+from caphy.garment.threads import lay_flat, warp_field
+from caphy.io.measurements import Measurement
+from caphy.io.poses import PoseSequence
+from caphy.measure.mesh_body import MeshBody
+from caphy.solve.body_motion import BodyMotion
+from caphy.solve.newton import Newton
+from caphy.solve.rollout import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What drives the cloth of a measurement.
+
+    Attributes:
+        measurement: as given.
+        garment: the template on the body; a bare sheet counts as one that hangs on the root joint.
+        motion: the body, posed or as a mesh; none for cloth on pins alone.
+        fixed: which vertices are pinned (V,), or none.
+        pins: positions (P, 3) [m] of the pinned vertices at a time [s], or none.
+    """
+
+    measurement: Measurement
+    garment: Garment
+    motion: BodyMotion | MeshBody | None
+    fixed: np.ndarray | None
+    pins: Callable[[float], Tensor] | None
+
+    @classmethod
+    def of(cls, measurement: Measurement, garment: Garment | None = None, body: BodyModel | None = None) -> Scene:
+        """Bind a measurement to its garment (the one it carries unless given) and body (the bundled one).
+
+        Raises:
+            CaphyError: the measurement lacks a rest shape, or its mesh is not the garment's.
+        """
+        garment = _carried_garment(measurement) if garment is None else garment
+        if measurement.vertex_count not in (None, len(garment.vertices)):
+            raise CaphyError(
+                f"{measurement.source or measurement.name}: has {measurement.vertex_count} vertices, garment "
+                f"{garment.name!r} {len(garment.vertices)}; they must be one mesh, or the measurement a point cloud"
+            )
+        motion = _motion(measurement, garment, body)
+        if motion is None and measurement.pinned is None:
+            where = measurement.source or measurement.name
+            raise CaphyError(f"{where}: nothing holds the cloth; give poses, body_vertices or pinned")
+        fixed, pins = _pins(measurement, len(garment.vertices))
+        return cls(measurement, garment, motion, fixed, pins)
+
+    def potential(self, model: Model) -> Potential:
+        """The physics of a model on this cloth; raises :class:`CaphyError` where the scene lacks what it needs."""
+        if isinstance(self.motion, MeshBody) and "attachment" in model.effects and (self.garment.attached > 0).any():
+            where = self.measurement.source or self.measurement.name
+            raise CaphyError(
+                f"{where}: the garment is attached to its body; give poses, a body mesh alone has no joints"
+            )
+        return Potential(model, Cloth.of(self.garment, model.density))
+
+    def simulator(self, potential: Potential, tolerance: float) -> Simulator:
+        """A simulator of this scene."""
+        newton = Newton(potential, self.fixed, tolerance)
+        return Simulator(newton, self.motion, pins=self.pins)  # type: ignore[arg-type]
+
+    def body_vertices(self, frame: int) -> np.ndarray | None:
+        """The body (B, 3) [m] in a frame, or none."""
+        if self.motion is None:
+            return None
+        time = frame / self.measurement.fps
+        return (
+            self.motion.vertices(time)
+            if isinstance(self.motion, MeshBody)
+            else self.motion.vertices(np.array([time]))[0]
+        )
+
+    @property
+    def body_faces(self) -> np.ndarray | None:
+        """The body's triangles, or none."""
+        if self.motion is None:
+            return None
+        return self.measurement.body_faces if isinstance(self.motion, MeshBody) else self.motion.body.faces
+
+
+def rest_material(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Flat rest shapes (F, 3, 2) [m] of a mesh without thread directions: warp upwards, along z where it is level."""
+    corner = vertices[faces]
+    area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    level = np.abs(area[:, 1]).sum() > 0.9 * np.linalg.norm(area, axis=1).sum()
+    guide = np.tile([0.0, 0.0, 1.0] if level else [0.0, 1.0, 0.0], (len(faces), 1))
+    return lay_flat(vertices, faces, warp_field(vertices, faces, guide))
+
+
+def _carried_garment(measurement: Measurement) -> Garment:
+    where = measurement.source or measurement.name
+    if measurement.rest_vertices is None or measurement.faces is None:
+        raise CaphyError(f"{where}: a physics model needs the cloth's rest_vertices and faces, or --garment FILE")
+    if measurement.poses is not None and measurement.weights is None:
+        raise CaphyError(f"{where}: clothing on a posed body needs skinning weights (V, 55); give --garment FILE")
+    count, rest, faces = len(measurement.rest_vertices), measurement.rest_vertices, measurement.faces
+    on_root = np.zeros((count, 55))
+    on_root[:, 0] = 1
+    regions = measurement.regions
+    return Garment(
+        name=measurement.name,
+        vertices=rest,
+        faces=faces.astype(np.int32),
+        material=rest_material(rest, faces) if measurement.material is None else measurement.material,
+        weights=on_root if measurement.weights is None else measurement.weights,
+        regions=np.full(count, "all") if regions is None else regions,
+        layer_thickness=np.zeros(count) if measurement.layer_thickness is None else measurement.layer_thickness,
+        attached=np.zeros(count) if measurement.attached is None else measurement.attached,
+    )
+
+
+def _motion(measurement: Measurement, garment: Garment, body: BodyModel | None) -> BodyMotion | MeshBody | None:
+    if measurement.body_vertices is not None and measurement.body_faces is not None:
+        return MeshBody(measurement.body_vertices, measurement.body_faces, measurement.fps)
+    if measurement.poses is None or measurement.transl is None:
+        return None
+    poses = PoseSequence(measurement.poses, measurement.transl, measurement.fps, source=measurement.source)
+    return BodyMotion(default_body() if body is None else body, poses, garment, measurement.betas)
+
+
+def _pins(measurement: Measurement, count: int) -> tuple[np.ndarray | None, Callable[[float], Tensor] | None]:
+    """The pinned mask and splines through the pins' positions, in the order of the vertices."""
+    if measurement.pinned is None or measurement.pinned_positions is None:
+        return None, None
+    fixed = np.zeros(count, bool)
+    fixed[measurement.pinned] = True
+    order = np.argsort(measurement.pinned)
+    positions = measurement.pinned_positions[:, order]
+    last = (len(positions) - 1) / measurement.fps
+    path = CubicSpline(np.arange(len(positions)) / measurement.fps, positions)
+
+    def pins(time: float) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(path(min(max(time, 0.0), last))))
+
+    return fixed, pins
+
+
+def with_regions(measurement: Measurement, garment: Garment) -> Measurement:
+    """The measurement with the garment's region names where it has none of its own."""
+    named = len(set(garment.regions.tolist())) > 1
+    return replace(measurement, regions=garment.regions) if measurement.regions is None and named else measurement

@@ -1,0 +1,127 @@
+"""The comparison page: one HTML file with everything inside."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from caphy.errors import CaphyError
+from caphy.report.page import plots
+from caphy.report.page.colours import DIVERGING, SEQUENTIAL, UNKNOWN, nice_ceiling
+from caphy.report.page.tracks import Track, pack
+
+FOLDER = Path(__file__).parent
+_PLOTTED_REGIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A PNG with what it shows; ``row`` is where the viewer jumps when it is pressed."""
+
+    png: bytes
+    caption: str
+    frame: int
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """One comparison on the page: figures as in ``compare.json``, moving meshes, pictures of the worst frames."""
+
+    figures: dict
+    track: Track | None = None
+    pictures: Sequence[Picture] = field(default_factory=tuple)
+
+
+def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, str]) -> str:
+    """The page as text.
+
+    Args:
+        title: heading.
+        sections: one per measurement.
+        facts: shown at the foot: model, versions, command.
+
+    Raises:
+        CaphyError: jinja2 is not installed.
+    """
+    try:
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    except ModuleNotFoundError:
+        raise CaphyError("the page needs jinja2; install it with: pip install 'caphy[train]'") from None
+    environment = Environment(
+        loader=FileSystemLoader(FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["mm"] = lambda value: (
+        "–" if value is None else f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
+    )
+    largest = max([s.figures["error"]["p95_mm"] or 0 for s in sections])
+    return environment.get_template("compare.html.j2").render(
+        title=title,
+        sections=[_prepared(section) for section in sections],
+        facts=facts,
+        style=(FOLDER / "page.css").read_text(encoding="utf-8"),
+        script=(FOLDER / "viewer.js").read_text(encoding="utf-8"),
+        scale_mm=nice_ceiling(largest),
+        colours={"sequential": SEQUENTIAL, "diverging": DIVERGING, "unknown": UNKNOWN},
+    )
+
+
+def _prepared(section: Section) -> dict:
+    figures, floor = section.figures, section.figures["floor"]["explained_mm"]
+    return {
+        "figures": figures,
+        "scene": None if section.track is None else _script_json(pack(section.track)),
+        "time_plot": _time_plot(figures, floor),
+        "plots": _plots(figures, floor),
+        "pictures": [
+            {"src": base64.b64encode(p.png).decode("ascii"), "caption": p.caption, "frame": p.frame}
+            for p in section.pictures
+        ],
+    }
+
+
+def _script_json(value: dict) -> str:
+    """JSON that cannot close the script element it stands in."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+
+
+def _time_plot(figures: dict, floor: float | None) -> str:
+    rows = figures["by_frame"]
+    lines = {"median": rows["median_mm"], "95 %": rows["p95_mm"]}
+    return plots.time_plot(rows["frame"], lines, rows["window"], floor)
+
+
+def _plots(figures: dict, floor: float | None) -> list[tuple[str, str]]:
+    regions = [(r["region"].replace("_", " "), r["median_mm"], r["p95_mm"]) for r in figures["by_region"]]
+    shown = [("By region", plots.bar_plot("Error by region", regions[:_PLOTTED_REGIONS], floor))]
+    parts = _directions(figures["error"])
+    if parts:
+        shown.append(("By direction", plots.bar_plot("Error by direction", parts, None)))
+    if figures["by_lag"]:
+        shown.append(("After a restart", plots.lag_plot(figures["by_lag"], floor)))
+    for row in sorted(figures["by_covariate"], key=_importance):
+        if any(b["median_mm"] is not None for b in row["bins"]):
+            name = row["name"]
+            label = f"{name} [{row['unit']}]"
+            shown.append((f"By {name}", plots.step_plot(f"Error by {name}", label, row["bins"], floor)))
+    return shown
+
+
+def _importance(row: dict) -> float:
+    """Covariates with the largest contrast first."""
+    return -abs(row["contrast"]["difference_mm"]) if row["contrast"] else 0.0
+
+
+def _directions(error: dict) -> list[tuple[str, float | None, float | None]]:
+    names = {"across the surface": "normal_median_mm", "along the surface": "along_median_mm"}
+    rows = [(name, error[key], error[key]) for name, key in names.items() if error[key] is not None]
+    if error["down_mean_mm"] is not None:
+        low = error["down_mean_mm"]
+        rows.append((f"{'too low' if low > 0 else 'too high'} (mean)", abs(low), abs(low)))
+    return rows

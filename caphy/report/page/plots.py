@@ -1,0 +1,157 @@
+"""Small plots as inline SVG; colours come from the page's style sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+
+import numpy as np
+
+WIDTH, HEIGHT = 420, 230
+LEFT, RIGHT, TOP, BOTTOM = 44, 12, 14, 38
+
+Value = float | None
+
+
+def _ticks(low: float, high: float, about: int = 5) -> list[float]:
+    span = max(high - low, 1e-12)
+    raw = span / about
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(power * s for s in (1, 2, 5, 10) if power * s >= raw)
+    return [float(round(t, 10)) for t in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
+
+
+def _scale(low: float, high: float, start: float, stop: float) -> Callable[[float], float]:
+    span = max(high - low, 1e-12)
+    return lambda value: start + (value - low) / span * (stop - start)
+
+
+def _frame(title: str, x_label: str, y_label: str, body: str, attributes: str = "") -> str:
+    middle = (LEFT + WIDTH - RIGHT) / 2
+    return (
+        f'<svg class="plot" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title, True)}" {attributes}>'
+        f"<title>{escape(title)}</title>{body}"
+        f'<text x="{middle:.0f}" y="{HEIGHT - 5}" text-anchor="middle">{escape(x_label)}</text>'
+        f'<text x="4" y="10" class="axis">{escape(y_label)}</text></svg>'
+    )
+
+
+def _y_axis(y: Callable[[float], float], high: float) -> str:
+    parts = []
+    for tick in _ticks(0, high, 4):
+        parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y(tick):.1f}" y2="{y(tick):.1f}"/>')
+        parts.append(f'<text x="{LEFT - 5}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>')
+    return "".join(parts)
+
+
+def _x_axis(x: Callable[[float], float], low: float, high: float) -> str:
+    base = HEIGHT - BOTTOM
+    return "".join(
+        f'<line class="tick" x1="{x(t):.1f}" x2="{x(t):.1f}" y1="{base}" y2="{base + 4}"/>'
+        f'<text x="{x(t):.1f}" y="{base + 16}" text-anchor="middle">{t:g}</text>'
+        for t in _ticks(low, high)
+    )
+
+
+def _path(xs: Sequence[float], ys: Sequence[Value], breaks: Sequence[bool]) -> str:
+    """An SVG path that is broken at holes and where told."""
+    text, pen = [], False
+    for x, y, broken in zip(xs, ys, breaks, strict=True):
+        if y is None:
+            pen = False
+            continue
+        text.append(f"{'L' if pen and not broken else 'M'}{x:.1f} {y:.1f}")
+        pen = True
+    return "".join(text)
+
+
+def time_plot(frames: Sequence[int], lines: dict[str, Sequence[Value]], groups: Sequence[int], floor: Value) -> str:
+    """Errors [mm] over frames; lines break between ``groups``; ``floor`` [mm] is drawn across."""
+    known = [v for values in lines.values() for v in values if v is not None]
+    high = 1.08 * max([*known, floor or 0, 1e-3])
+    last = frames[-1] if frames[-1] > frames[0] else frames[0] + 1
+    x, y = _scale(frames[0], last, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
+    new = [i == 0 or groups[i] != groups[i - 1] for i in range(len(frames))]
+    body = _y_axis(y, high) + _x_axis(x, frames[0], last)
+    for number, (name, values) in enumerate(lines.items()):
+        heights = [None if v is None else y(v) for v in values]
+        body += f'<path class="line line{number}" d="{_path([x(f) for f in frames], heights, new)}"/>'
+        body += f'<text class="legend line{number}" x="{LEFT + 60 + 96 * number}" y="10">{escape(name)}</text>'
+    body += _floor(y, floor)
+    body += f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>'
+    data = f'data-first="{frames[0]}" data-last="{last}" data-left="{LEFT}" data-right="{WIDTH - RIGHT}"'
+    return _frame("Error over time", "frame", "mm", body, data)
+
+
+def _floor(y: Callable[[float], float], floor: Value) -> str:
+    if not floor:
+        return ""
+    height = y(floor)
+    return (
+        f'<line class="floor" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{height:.1f}" y2="{height:.1f}"/>'
+        f'<text class="floor" x="{WIDTH - RIGHT}" y="{height - 4:.1f}" text-anchor="end">explained</text>'
+    )
+
+
+def bar_plot(title: str, rows: Sequence[tuple[str, Value, Value]], floor: Value) -> str:
+    """Horizontal bars of medians [mm] with a whisker to the 95th percentile: (name, median, p95)."""
+    line, left, gap = 24, 132, 10
+    height = gap + line * len(rows) + 34
+    high = 1.05 * max([p or 0 for _, _, p in rows] + [floor or 0, 1e-3])
+    x = _scale(0, high, left, WIDTH - RIGHT)
+    body, base = "", gap + line * len(rows)
+    for tick in _ticks(0, high, 4):
+        body += f'<line class="grid" x1="{x(tick):.1f}" x2="{x(tick):.1f}" y1="{gap - 4}" y2="{base}"/>'
+        body += f'<text x="{x(tick):.1f}" y="{base + 14}" text-anchor="middle">{tick:g}</text>'
+    for i, (name, middle, p95) in enumerate(rows):
+        top = gap + i * line
+        body += f'<text x="{left - 7}" y="{top + 15}" text-anchor="end">{escape(name)}</text>'
+        if middle is None or p95 is None:
+            continue
+        centre = top + 11
+        body += f'<line class="whisker" x1="{x(0):.1f}" x2="{x(p95):.1f}" y1="{centre}" y2="{centre}"/>'
+        body += f'<rect class="bar" x="{x(0):.1f}" y="{top + 4}" width="{max(x(middle) - x(0), 1):.1f}" height="14"/>'
+    if floor:
+        body += f'<line class="floor" x1="{x(floor):.1f}" x2="{x(floor):.1f}" y1="{gap - 6}" y2="{base}"/>'
+        body += f'<text class="floor" x="{x(floor) + 3:.1f}" y="9">explained</text>'
+    return (
+        f'<svg class="plot" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{escape(title, True)}">'
+        f"<title>{escape(title)}</title>{body}"
+        f'<text x="{(left + WIDTH) / 2:.0f}" y="{height - 4}" text-anchor="middle">mm: median, line to 95 %</text>'
+        "</svg>"
+    )
+
+
+def step_plot(title: str, x_label: str, bins: Sequence[dict], floor: Value) -> str:
+    """Median error [mm] in bins of a covariate (low, high, median_mm, p95_mm)."""
+    rows = [row for row in bins if row["median_mm"] is not None]
+    low, top = rows[0]["low"], rows[-1]["high"]
+    # The outermost bins reach far out in a long tail: draw them no wider than all the others together.
+    if len(rows) > 2:
+        inner = rows[-1]["low"] - rows[0]["high"]
+        low, top = max(low, rows[0]["high"] - inner), min(top, rows[-1]["low"] + inner)
+    high = 1.08 * max([row["median_mm"] for row in rows] + [floor or 0, 1e-3])
+    x, y = _scale(low, top, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
+    body = _y_axis(y, high) + _x_axis(x, low, top)
+    for row in rows:
+        left, right = x(max(row["low"], low)), x(min(row["high"], top))
+        height = y(row["median_mm"])
+        body += (
+            f'<rect class="bar" x="{left + 0.5:.1f}" y="{height:.1f}" width="{max(right - left - 1, 1):.1f}" '
+            f'height="{HEIGHT - BOTTOM - height:.1f}"><title>{row["low"]:.3g} to {row["high"]:.3g}: '
+            f"{row['median_mm']:.2f} mm</title></rect>"
+        )
+    return _frame(title, x_label, "mm (median)", body + _floor(y, floor))
+
+
+def lag_plot(rows: Sequence[dict], floor: Value) -> str:
+    """Median error [mm] against frames since the restart."""
+    known = [row for row in rows if row["median_mm"] is not None]
+    last = max(known[-1]["lag"], 2)
+    high = 1.08 * max([row["median_mm"] for row in known] + [floor or 0, 1e-3])
+    x, y = _scale(0, last, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
+    body = _y_axis(y, high) + _x_axis(x, 0, last)
+    heights: list[Value] = [y(row["median_mm"]) for row in known]
+    body += f'<path class="line line0" d="{_path([x(r["lag"]) for r in known], heights, [False] * len(known))}"/>'
+    body += "".join(f'<circle class="dot" cx="{x(r["lag"]):.1f}" cy="{y(r["median_mm"]):.1f}" r="3"/>' for r in known)
+    return _frame("Error after a restart", "frames since the restart", "mm (median)", body + _floor(y, floor))

@@ -1,0 +1,104 @@
+"""Moving meshes and their errors packed for the viewer: quantised, compressed, bounded in size."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+from dataclasses import dataclass
+
+import numpy as np
+
+BUDGET = 12_000_000
+"""Most bytes of raw numbers that one scene may hold; longer motions are thinned out in time."""
+STEP_MM = 0.01
+"""Resolution of packed errors [mm]."""
+HOLE = -32768
+"""Packed error where nothing was measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What the viewer shows of one comparison; rows are frames.
+
+    vertices: the model's (N, V, 3) [m]. faces: (F, 3). measured: registered positions (N, V, 3) with NaN in holes, or
+    a list of N clouds (n, 3), or none. fields: name -> errors (N, V) [mm], NaN where unknown. frames: (N,).
+    body: (N, B, 3), with body_faces, or none.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    frames: np.ndarray
+    fps: float
+    fields: dict[str, np.ndarray]
+    measured: np.ndarray | list[np.ndarray] | None = None
+    body: np.ndarray | None = None
+    body_faces: np.ndarray | None = None
+    regions: np.ndarray | None = None
+
+
+def pack(track: Track) -> dict:
+    """A JSON-ready scene for ``viewer.js``: base64 of gzip of little-endian numbers, and how to read them."""
+    rows = _kept_rows(track)
+    vertices = track.vertices[rows]
+    measured = None if track.measured is None else [track.measured[int(r)] for r in rows]
+    body = None if track.body is None else track.body[rows]
+    clouds = [vertices.reshape(-1, 3), *(measured or [])] + ([] if body is None else [body.reshape(-1, 3)])
+    points = np.concatenate([c.reshape(-1, 3) for c in clouds])
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    scale = float(max((high - low).max(), 1e-6) / 65534)
+    names, region = np.unique(["" if track.regions is None else r for r in _regions(track)], return_inverse=True)
+    scene = {
+        "fps": track.fps,
+        "rows": len(rows),
+        "thinned": len(rows) < len(track.vertices),
+        "frames": track.frames[rows].tolist(),
+        "vertexCount": vertices.shape[1],
+        "low": low.tolist(),
+        "scale": scale,
+        "focus": [(vertices.min((0, 1)) + vertices.max((0, 1))).tolist(), float(np.ptp(vertices, axis=(0, 1)).max())],
+        "faces": _encode(track.faces.astype("<u4")),
+        "model": _encode(_quantised(vertices, low, scale)),
+        "fields": {name: _encode(_errors(values[rows])) for name, values in track.fields.items()},
+        "stepMm": STEP_MM,
+        "regionNames": names.tolist(),
+        "regions": _encode(region.astype("<u1")),
+    }
+    if measured is not None:
+        scene["measured"] = _encode(np.concatenate([_quantised(c, low, scale).reshape(-1, 3) for c in measured]))
+        scene["measuredOffsets"] = np.concatenate([[0], np.cumsum([len(c) for c in measured])]).tolist()
+        scene["measuredMesh"] = isinstance(track.measured, np.ndarray)
+    if body is not None and track.body_faces is not None:
+        scene |= {"body": _encode(_quantised(body, low, scale)), "bodyCount": body.shape[1]}
+        scene["bodyFaces"] = _encode(track.body_faces.astype("<u4"))
+    return scene
+
+
+def _regions(track: Track) -> np.ndarray:
+    return np.full(track.vertices.shape[1], "") if track.regions is None else track.regions
+
+
+def _kept_rows(track: Track) -> np.ndarray:
+    """All rows, or every second, third, ... where all would not fit the budget."""
+    count = len(track.vertices)
+    per_row = track.vertices.shape[1] * (6 + 2 * len(track.fields))
+    per_row += 0 if track.body is None else track.body.shape[1] * 6
+    if track.measured is not None:
+        per_row += int(6 * np.mean([len(c) for c in track.measured]))
+    stride = max(int(np.ceil(per_row * count / BUDGET)), 1)
+    return np.arange(0, count, stride)
+
+
+def _quantised(points: np.ndarray, low: np.ndarray, scale: float) -> np.ndarray:
+    """Unsigned 16-bit positions; 65535 in holes."""
+    values = np.nan_to_num(np.rint((points - low) / scale), nan=65535)
+    return values.astype("<u2")
+
+
+def _errors(values: np.ndarray) -> np.ndarray:
+    """Signed 16-bit errors in steps of :data:`STEP_MM`."""
+    steps = np.clip(np.nan_to_num(values / STEP_MM), -32767, 32767)
+    return np.where(np.isfinite(values), np.rint(steps), HOLE).astype("<i2")
+
+
+def _encode(values: np.ndarray) -> str:
+    return base64.b64encode(gzip.compress(np.ascontiguousarray(values).tobytes(), 6, mtime=0)).decode("ascii")

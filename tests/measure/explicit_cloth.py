@@ -1,0 +1,109 @@
+"""Cloth on pins by an integrator of its own: explicit, tiny steps, plain numpy; shares no code with the solver."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from caphy.io.measurements import Measurement
+
+
+def square(count: int = 9, side: float = 0.6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (V, 3) of a level square, faces (F, 3), flat coordinates (V, 2) [m]."""
+    u, v = np.meshgrid(np.linspace(0, side, count), np.linspace(0, side, count))
+    flat = np.stack([u.ravel(), v.ravel()], -1)
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
+    a, b, c, d = corner, corner + 1, corner + count + 1, corner + count
+    faces = np.concatenate([np.stack([a, c, b], -1), np.stack([a, d, c], -1)])
+    vertices = np.stack([flat[:, 0] - side / 2, np.zeros(len(flat)), flat[:, 1]], -1)
+    return vertices, faces, flat
+
+
+def simulate(
+    seconds: float = 2.0,
+    fps: float = 30.0,
+    lame: tuple[float, float] = (20.9, 11.1),
+    density: float = 0.2,
+    drag: float = 0.0,
+    count: int = 9,
+    steps: int = 120,
+    damping: float = 0.03,
+    settle: float = 2.5,
+    sway: float = 0.08,
+) -> tuple[np.ndarray, dict]:
+    """Positions (T, V, 3) of a square held by two corners that sway sideways, and the measurement's other keys.
+
+    ``damping`` [N s/m] acts along edges. ``drag`` [kg/m^2/s] is a hidden force per area against the velocity. The
+    first ``settle`` seconds, damped, are left out.
+    """
+    rest, faces, flat = square(count)
+    inverse = np.linalg.inv(
+        np.stack([flat[faces[:, 1]] - flat[faces[:, 0]], flat[faces[:, 2]] - flat[faces[:, 0]]], -1)
+    )
+    area = 0.5 / np.abs(np.linalg.det(inverse))
+    mass = np.bincount(faces.ravel(), np.repeat(area * density / 3, 3), len(rest))
+    pinned = np.array([0, count - 1])
+    x, v, dt = rest.copy(), np.zeros_like(rest), 1 / (fps * steps)
+
+    def pins(time: float) -> np.ndarray:
+        t = max(time, 0.0)
+        phase = 1 - np.exp(-((t / 0.2) ** 2))
+        shift = np.array([sway * np.sin(5.0 * t), 0.0, 0.7 * sway * np.sin(3.0 * t)]) * phase
+        return rest[pinned] + shift
+
+    frames, total = [], round((settle + seconds) * fps)
+    for frame in range(total + 1):
+        time = frame / fps - settle
+        if time >= -1e-9:
+            frames.append(x.copy())
+        for step in range(steps):
+            now = time + step * dt
+            force = _elastic(x, faces, inverse, area, lame) - drag / density * mass[:, None] * v
+            force -= (3.0 if now < -0.5 else 0.0) * mass[:, None] * v  # settles down
+            force += damping * _strain_rate(x, v, faces, mass)
+            v = v + dt * (force / mass[:, None] + [0.0, -9.81, 0.0])
+            x = x + dt * v
+            x[pinned] = pins(now + dt)
+            v[pinned] = (pins(now + dt) - pins(now)) / dt
+    positions = np.stack(frames)
+    times = np.arange(len(positions)) / fps
+    keys = {
+        "faces": faces,
+        "rest_vertices": rest,
+        "material": flat[faces],
+        "pinned": pinned,
+        "pinned_positions": np.stack([pins(t) for t in times]),
+    }
+    return positions, keys
+
+
+def _elastic(x, faces, inverse, area, lame):
+    lam, mu = lame
+    a, b, c = (x[faces[:, i]] for i in range(3))
+    f = np.stack([b - a, c - a], -1) @ inverse
+    green = 0.5 * (f.transpose(0, 2, 1) @ f - np.eye(2))
+    stress = lam * np.trace(green, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 2 * mu * green
+    h = -area[:, None, None] * (f @ stress @ inverse.transpose(0, 2, 1))
+    force = np.zeros_like(x)
+    np.add.at(force, faces[:, 1], h[..., 0])
+    np.add.at(force, faces[:, 2], h[..., 1])
+    np.add.at(force, faces[:, 0], -h.sum(-1))
+    return force
+
+
+def _strain_rate(x, v, faces, mass):
+    """A trace of damping along edges, so that the explicit scheme does not ring [N]."""
+    force = np.zeros_like(x)
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        p, q = faces[:, i], faces[:, j]
+        d = x[q] - x[p]
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        pull = ((v[q] - v[p]) * d).sum(1, keepdims=True) * d
+        np.add.at(force, p, pull)
+        np.add.at(force, q, -pull)
+    return force
+
+
+def measured(positions: np.ndarray, keys: dict, noise_mm: float = 1.0, seed: int = 0, **more) -> Measurement:
+    """The positions as a measurement with independent noise on every coordinate."""
+    noisy = positions + np.random.default_rng(seed).normal(0, 1e-3 * noise_mm, positions.shape)
+    return Measurement(name="square", fps=30.0, vertices=noisy, **keys, **more)

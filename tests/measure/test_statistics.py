@@ -1,0 +1,107 @@
+"""Bins, contrasts and sentences: they find what is planted and keep still where nothing is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from caphy.measure.sentences import sentences
+from caphy.measure.statistics import binned, contrast, interval, summary
+
+
+def test_summary_is_numpys_and_ignores_holes():
+    values = np.array([[0.001, np.nan], [0.003, 0.010]])
+    assert summary(values) == {
+        "median_mm": pytest.approx(3.0),
+        "p95_mm": pytest.approx(1e3 * np.quantile([0.001, 0.003, 0.010], 0.95)),
+        "count": 3,
+    }
+    assert summary(np.full(3, np.nan))["median_mm"] is None
+
+
+def test_bins_hold_equal_numbers_and_every_value():
+    random = np.random.default_rng(0)
+    values, errors = random.exponential(1, (30, 40)), random.uniform(0, 1, (30, 40))
+    errors[3, 4] = np.nan
+    rows = binned(values, errors)
+    assert len(rows) == 6
+    assert sum(row["count"] for row in rows) == 1199
+    assert max(row["count"] for row in rows) - min(row["count"] for row in rows) <= 1
+    first = errors[(values <= rows[0]["high"]) & np.isfinite(errors)]
+    assert rows[0]["median_mm"] == pytest.approx(1e3 * np.median(first), rel=0.01)
+
+
+def test_contrast_finds_what_is_planted_and_not_what_is_not():
+    random, window = np.random.default_rng(1), np.repeat(np.arange(10), 8)
+    speed = random.uniform(0, 2, (80, 1))
+    errors = np.abs(random.normal(0, 0.002, (80, 50)))
+    nothing = contrast(speed, errors, window)
+    assert nothing["interval_mm"][0] < 0 < nothing["interval_mm"][1]
+    planted = contrast(speed, errors + 0.004 * (speed > 1.5), window)
+    assert planted["difference_mm"] == pytest.approx(4.0, abs=0.3)
+    assert planted["interval_mm"][0] > 3
+    assert contrast(speed[:24], errors[:24], window[:24]) is None  # three windows are no evidence
+
+
+def test_interval_respects_windows():
+    """Rows of one window are copies of one draw: the interval must be that of ten draws, not of a thousand."""
+    random = np.random.default_rng(0)
+    draws, window = random.normal(0, 1, 10), np.repeat(np.arange(10), 100)
+    values = draws[window]
+    low, high = interval(lambda rows: float(values[rows].mean()), window)
+    assert (high - low) / 2 == pytest.approx(1.645 * draws.std() / np.sqrt(10), rel=0.2)
+
+
+def figures(**floor) -> dict:
+    return {
+        "error": {"median_mm": 6.0, "p95_mm": 20.0, "interval_mm": (5.0, 7.0)},
+        "floor": {
+            "noise_median_mm": 2.0,
+            "time_step_median_mm": 0.5,
+            "restart_median_mm": 1.0,
+            "explained_mm": 2.3,
+            "unexplained_mm": 5.5,
+            **floor,
+        },
+        "prediction": {"matched_vertices": True, "restarted": True, "window_frames": 8, "windows": 9, "converged": 1.0},
+        "by_region": [{"region": "hem", "median_mm": 14.0, "down_mm": 11.0, "down_interval_mm": (9.0, 13.0)}],
+        "by_covariate": [
+            {
+                "when": "the hips turn fast",
+                "unit": "°/s",
+                "contrast": {
+                    "low": 20.0,
+                    "high": 150.0,
+                    "below_mm": 4.0,
+                    "above_mm": 13.0,
+                    "difference_mm": 9.0,
+                    "interval_mm": (5.0, 12.0),
+                },
+            }
+        ],
+        "by_lag": [],
+        "moments": [],
+    }
+
+
+def test_sentences_say_what_the_figures_carry():
+    text = " ".join(sentences(figures()))
+    assert "6.0 mm off (median; 95 % within 20 mm)" in text
+    assert "noise explains 2.0 mm" in text
+    assert "Worst is the hem: 14 mm off, on average 11 mm too low." in text
+    assert "larger when the hips turn fast: 13 mm above 150 °/s, 4.0 mm below 20 °/s" in text
+
+
+def test_sentences_keep_still_where_they_do_not():
+    given = figures()
+    given["by_region"][0]["down_interval_mm"] = (-2.0, 20.0)
+    given["by_covariate"][0]["contrast"]["interval_mm"] = (-1.0, 15.0)
+    text = " ".join(sentences(given))
+    assert "too low" not in text
+    assert "turn fast" not in text
+    quiet = sentences(figures(explained_mm=5.5, unexplained_mm=2.4))
+    assert "nothing here asks for another effect" in quiet[1]
+    assert len(quiet) == 2
+    doubtful = figures()
+    doubtful["prediction"] |= {"windows": 2, "converged": 0.9}
+    assert sum(sentence.startswith("Caution") for sentence in sentences(doubtful)) == 2

@@ -1,0 +1,115 @@
+"""Windows restarted from a measurement that an independent explicit integrator made."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from explicit_cloth import measured, simulate
+
+from caphy.commands.compare import main
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.io.measurements import Measurement, write_measurement
+from caphy.measure.comparison import compare
+from caphy.measure.prediction import predict_in_windows
+from caphy.measure.scene import Scene
+from caphy.measure.windows import StartStates, filled, window_starts
+
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+
+
+@pytest.fixture(scope="module")
+def truth() -> tuple[np.ndarray, dict]:
+    return simulate()
+
+
+@pytest.fixture(scope="module")
+def plain(truth) -> Measurement:
+    return measured(*truth)
+
+
+@pytest.fixture(scope="module")
+def dragged() -> Measurement:
+    return measured(*simulate(drag=0.6))
+
+
+def compared(measurement: Measurement) -> dict:
+    scene = Scene.of(measurement)
+    return compare(predict_in_windows(scene, MODEL), measurement, scene).figures
+
+
+def test_the_right_model_is_told_from_one_that_lacks_an_effect(plain, dragged):
+    right, wrong = compared(plain), compared(dragged)
+    assert right["floor"]["unexplained_mm"] < 1.5
+    assert "nothing here asks for another effect" in right["sentences"][1]
+    assert wrong["floor"]["unexplained_mm"] > 3
+    assert not any("nothing here" in sentence for sentence in wrong["sentences"])
+    assert wrong["by_lag"][-1]["median_mm"] > 3 * wrong["by_lag"][0]["median_mm"]
+    assert right["prediction"]["converged"] == 1
+
+
+def test_starts_are_nearer_to_the_truth_than_the_data_are(plain, truth):
+    positions, _ = truth
+    scene = Scene.of(plain)
+    starts = StartStates(scene, scene.potential(MODEL))
+    truth_velocity = (positions[2:] - positions[:-2]) * 15
+    data = np.median(np.linalg.norm(plain.vertices - positions, axis=-1))
+    raw = np.median(np.linalg.norm((plain.vertices[2:] - plain.vertices[:-2]) * 15 - truth_velocity, axis=-1))
+    at = [starts.state(frame) for frame in (10, 25, 40)]
+    place = [np.linalg.norm(s.x.numpy() - positions[f], axis=1) for s, f in zip(at, (10, 25, 40), strict=True)]
+    speed = [np.linalg.norm(s.v.numpy() - truth_velocity[f - 1], axis=1) for s, f in zip(at, (10, 25, 40), strict=True)]
+    assert np.median(place) < 0.8 * data
+    assert np.median(speed) < 0.8 * raw
+
+
+def test_windows_avoid_holes_and_say_so_where_none_is_left(plain):
+    vertices = plain.vertices.copy()
+    vertices[14:22] = np.nan
+    scene = Scene.of(replace(plain, vertices=vertices))
+    starts = window_starts(StartStates(scene, scene.potential(MODEL)))
+    assert len(starts) >= 5
+    assert not set(starts) & set(range(15, 21))
+    vertices = np.full_like(vertices, np.nan)
+    vertices[::5] = plain.vertices[::5]
+    scene = Scene.of(replace(plain, vertices=vertices))
+    with pytest.raises(CaphyError, match="no window can start"):
+        predict_in_windows(scene, MODEL)
+
+
+def test_holes_are_filled_harmonically(plain):
+    scene = Scene.of(plain)
+    cloth = scene.potential(MODEL).cloth
+    linear = cloth.vertices @ np.array([[1.0, 2, 0], [0, 1, 0], [3, 0, 1]]) + 0.3
+    known = np.ones(81, bool)
+    known[[40, 41, 49, 50]] = False
+    np.testing.assert_allclose(filled(np.where(known[:, None], linear, np.nan), known, cloth), linear, atol=1e-6)
+
+
+def test_scenes_that_cannot_be_simulated_are_told(plain):
+    with pytest.raises(CaphyError, match="needs the cloth's rest_vertices"):
+        Scene.of(replace(plain, rest_vertices=None, material=None))
+    with pytest.raises(CaphyError, match="nothing holds the cloth"):
+        Scene.of(replace(plain, pinned=None, pinned_positions=None))
+
+
+def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys):
+    (tmp_path / "model.json").write_text(MODEL.to_json())
+    short = replace(
+        plain, name="short </script>", vertices=plain.vertices[:20], pinned_positions=plain.pinned_positions[:20]
+    )
+    write_measurement(short, tmp_path / "short.npz")
+    main([str(tmp_path / "model.json"), str(tmp_path / "short.npz"), "-o", str(tmp_path / "out")])
+    figures = json.loads((tmp_path / "out" / "compare.json").read_text())["comparisons"][0]
+    assert figures["error"]["median_mm"] > 0
+    page = (tmp_path / "out" / "compare.html").read_text()
+    assert not re.search(r"(src|href)=\"(?!data:|#)", page)  # nothing is loaded from anywhere
+    assert "http" not in re.sub(r"http://www\.w3\.org/\S+", "", page)
+    assert "short &lt;/script&gt;" in page
+    assert page.count('class="viewer"') == 1
+    assert "mm off" in capsys.readouterr().out
+    with pytest.raises(CaphyError, match="there is no model 'silk'"):
+        main(["silk", str(tmp_path / "short.npz"), "-o", str(tmp_path / "out")])
