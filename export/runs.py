@@ -19,15 +19,22 @@ from caphy.network.garment_network import GarmentNetwork
 NETWORK = "network.safetensors"
 GARMENT = "garment.npz"
 SETTINGS = "run.json"
+MODEL = "model.json"
 METRICS = "metrics.jsonl"
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A trained network, its garment, how it was trained, and the last validation on held-out clips."""
+    """A trained network, its garment, how it was trained, and the last validation on held-out clips.
+
+    betas: body shape (S,) that it was trained on, or none. held_out: pose files that it did not see, as far as they
+    still exist.
+    """
 
     garment: Garment
     network: GarmentNetwork
+    betas: np.ndarray | None
+    held_out: tuple[Path, ...]
     provenance: Mapping[str, Any]
     metrics: Mapping[str, Any]
 
@@ -40,13 +47,21 @@ def read_run(folder: Path) -> Run:
         network.template.numpy(), garment.vertices, atol=1e-5
     ):
         raise CaphyError(f"{folder}: {GARMENT} is not the garment that {NETWORK} was trained on; train again")
+    settings, model = _json(folder / SETTINGS), _json(folder / MODEL)
+    held_out = tuple(path for path in map(Path, settings.pop("held_out_paths", [])) if path.exists())
+    settings.pop("body", None)  # a path on the machine it was trained on
     digest = hashlib.sha256((folder / NETWORK).read_bytes()).hexdigest()
-    provenance = {"garment": dict(garment.provenance), "network_sha256": digest, "training": _settings(folder)}
-    return Run(garment, network, provenance, _last_validation(folder))
+    provenance = {
+        "garment": dict(garment.provenance),
+        "training": settings,
+        "model": model,
+        "network_sha256": digest,
+    }
+    betas = np.array(settings["betas"]) if settings.get("betas") else None
+    return Run(garment, network, betas, held_out, provenance, _last_validation(folder))
 
 
-def _settings(folder: Path) -> dict[str, Any]:
-    path = folder / SETTINGS
+def _json(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text()) if path.is_file() else {}
 
 

@@ -12,6 +12,7 @@ import tyro
 from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
+    from caphy.body.model import BodyModel
     from caphy.io.poses import PoseSequence
     from export.runs import Run
 
@@ -25,7 +26,7 @@ class Export:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The bundle to write, a folder."""
     motions: tuple[Path, ...] = ()
-    """Pose files to choose the head's rank on, and to state its error on; made-up motions by default."""
+    """Pose files to fit the head on and, every third, to state its error on; those held out of training by default."""
     body: Path | None = None
     """Body to show, an SMPL-X-format npz with the joints trained on; the bundled body by default."""
     licence: str | None = None
@@ -47,8 +48,8 @@ def main(arguments: list[str]) -> None:
         raise CaphyError("a body of your own needs its licence in words: --licence TEXT")
     body = default_body("fine") if command.body is None else BodyModel.load(command.body)
     runs = [read_run(folder) for folder in command.runs]
-    _require_one_body(runs, body.joints)
-    fitted, held_out = _motions(command.motions)
+    _require_one_body(runs, body)
+    fitted, held_out = _motions(command.motions or _held_out(runs))
     garments = []
     for run in runs:
         garment, metrics = bundled_garment(run.garment, run.network, fitted, held_out)
@@ -59,8 +60,8 @@ def main(arguments: list[str]) -> None:
         garments.append((garment, {**metrics, "held_out": dict(run.metrics)}))
     provenance: dict[str, Any] = {
         "exported_by": f"caphy {caphy.__version__}",
-        "head_fitted_on": [motion.source for motion in fitted],
-        "head_error_measured_on": [motion.source for motion in held_out],
+        "head_fitted_on": [Path(motion.source).name for motion in fitted],
+        "head_error_measured_on": [Path(motion.source).name for motion in held_out],
         "garments": {run.garment.name: dict(run.provenance) for run in runs},
     }
     bundle = avatar_bundle(
@@ -68,6 +69,7 @@ def main(arguments: list[str]) -> None:
         body,
         garments,
         fps=runs[0].network.fps,
+        betas=runs[0].betas,
         licence=command.licence or BODY_LICENCE,
         provenance=provenance,
     )
@@ -77,9 +79,14 @@ def main(arguments: list[str]) -> None:
     print(f"next: caphy demo --avatar {command.out}")
 
 
-def _require_one_body(runs: list[Run], joints: np.ndarray) -> None:
+def _held_out(runs: list[Run]) -> tuple[Path, ...]:
+    return tuple(dict.fromkeys(path for run in runs for path in run.held_out))
+
+
+def _require_one_body(runs: list[Run], body: BodyModel) -> None:
     if not runs:
         raise CaphyError("give at least one folder that 'caphy train' wrote")
+    joints = body.rest(runs[0].betas)[1]
     for run in runs:
         name = run.garment.name
         if run.network.fps != runs[0].network.fps:
@@ -96,16 +103,16 @@ def _require_one_body(runs: list[Run], joints: np.ndarray) -> None:
 
 
 def _motions(paths: tuple[Path, ...]) -> tuple[list[PoseSequence], list[PoseSequence]]:
-    """Motions to fit the head on, and others, every third, to state its error on."""
+    """Motions to fit the head on, and others, every third of those given, to state its error on."""
     from caphy.io.poses import read_poses
     from caphy.io.procedural import procedural_motion
 
+    made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
     if not paths:
-        made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
         return made[:4], made[4:]
     motions = [read_poses(path) for path in paths]
     if len(motions) == 1:
         middle = len(motions[0]) // 2
         motions = [motions[0][:middle], motions[0][middle:]]
     held_out = motions[1::3]
-    return [motion for motion in motions if motion not in held_out], held_out
+    return [*made, *(motion for motion in motions if motion not in held_out)], held_out

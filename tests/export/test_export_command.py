@@ -22,7 +22,10 @@ def run_folder(folder: Path, name: str, **changes) -> Path:
         setattr(network, key, value)
     garment.save(folder / name / "garment.npz")
     save_network(network, folder / name / "network.safetensors")
-    (folder / name / "run.json").write_text(json.dumps({"seed": 7}))
+    (folder / name / "run.json").write_text(
+        json.dumps({"seed": 7, "betas": [], "body": "/home/me/body.npz", "held_out_paths": [str(folder / "held.npz")]})
+    )
+    (folder / name / "model.json").write_text(json.dumps({"effects": ["gravity"]}))
     lines = [{"step": 1, "validation": {"deep": 2}}, {"step": 2, "loss_J": 1}, {"step": 2, "validation": {"deep": 1}}]
     (folder / name / "metrics.jsonl").write_text("\n".join(json.dumps(line) for line in lines))
     return folder / name
@@ -40,11 +43,21 @@ def test_two_runs_become_one_avatar(tmp_path, capsys):
     assert metrics["held_out"] == {"deep": 1}
     assert metrics["parity_with_torch_mm"] < 0.01
     assert metrics["head_worst_vertex_error_mm"] < 0.05
-    assert bundle.provenance["garments"]["tshirt"]["training"] == {"seed": 7}
+    made = bundle.provenance["garments"]["tshirt"]
+    assert made["training"] == {"seed": 7, "betas": []}  # no paths of the machine it was trained on
+    assert made["model"] == {"effects": ["gravity"]}
     network, motion = random_network(shell("tshirt"), width=16), wiggle(0.5, seed=9)
     engine = GarmentEngine(bundle.garment("tshirt"))
     arrays = motion.poses.astype(np.float32), motion.transl.astype(np.float32)
     np.testing.assert_allclose(engine.run(*arrays, engine.initial_state())[0], network.stream(*arrays), atol=2e-5)
+
+
+def test_the_heads_error_is_stated_on_motions_held_out_of_training(tmp_path):
+    write_poses(wiggle(1.0), tmp_path / "held.npz")
+    run = run_folder(tmp_path, "tshirt")
+    assert main(["export", str(run), "-o", str(tmp_path / "out")]) == 0
+    bundle = read_bundle(tmp_path / "out")
+    assert bundle.provenance["head_error_measured_on"] == ["wiggle 0"]
 
 
 def test_nothing_is_written_where_the_graph_differs(tmp_path, capsys, monkeypatch):
