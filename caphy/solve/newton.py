@@ -30,7 +30,10 @@ _SLOW = 0.5  # fall of the residual in one iteration that counts as slow
 Body = Callable[[Tensor], BodyState]
 """What positions (V, 3) [m] see of the body at the time of the step."""
 
-_STILL = 1e-3  # vertices that move less than this [m] in an iteration keep their contact planes
+_STILL = 1e-3  # vertices that have moved less than this [m] keep their contact planes
+_TURN, _RADIUS = 0.02, 5e-3  # a normal may turn this far, plus one radian per move of this many metres
+_MOST = 0.5  # however far the vertex moved
+_RENEWALS = 1
 
 
 @dataclass(frozen=True)
@@ -65,35 +68,43 @@ class _Point:
 
 
 class _Planes:
-    """The contact planes of one minimisation: found anew for every trial state, then kept while cloth settles.
+    """The contact planes of one minimisation, which follow the cloth but do not jump.
 
     The distance to a body has creases where two surfaces are equally near, as in an armpit or along the concave edges
     of its mesh. The minimum of a penalty likes to lie right on a crease, where its gradient jumps and no method that
-    looks for zero gradient can settle. Once no vertex moves by a millimetre its contact plane is therefore kept, and
-    renewed once at convergence: vertices off the creases meet the tolerance with their true planes, vertices
-    on a crease rest on one of its two sides.
+    looks for zero gradient can settle; and cloth pinched there would be handed from one side to the other. Planes
+    are therefore kept during a line search, and afterwards renewed where a vertex has moved and its normal has
+    turned no more than the move explains. Off the creases they are the true tangent planes at convergence.
     """
 
-    def __init__(self, body: Body | None) -> None:
-        self._body, self._kept, self._renewed = body, None, False
+    def __init__(self, body: Body | None, x: Tensor) -> None:
+        self._body, self._x = body, x
+        self.state = None if body is None else body(x)
+        self._renewals = 0
 
-    @property
-    def view(self) -> Body | None:
-        """The body as it is to be seen now."""
-        kept = self._kept
-        return self._body if kept is None else lambda x: kept
+    def follow(self, x: Tensor) -> bool:
+        """Renew planes of vertices that have moved by more than a millimetre; tells whether there were any."""
+        return self._renew(x, _STILL)
 
-    def moved(self, here: _Point, there: _Point) -> None:
-        """Take note of a step; keep the planes if it was a small one."""
-        if self._body is not None and self._kept is None and float((there.x - here.x).abs().max()) < _STILL:
-            self._kept = there.body
+    def settle(self, x: Tensor) -> bool:
+        """Renew all planes at convergence, a few times at most; tells whether any moved."""
+        self._renewals += 1
+        return self._renewals <= _RENEWALS and self._renew(x, 0.0)
 
-    def settled(self, x: Tensor) -> bool:
-        """Whether convergence is final; if not, the planes at positions x (V, 3) are to be seen from now on."""
-        if self._kept is None or self._body is None or self._renewed:
-            return True
-        self._kept, self._renewed = self._body(x), True
-        return False
+    def _renew(self, x: Tensor, least: float) -> bool:
+        if self._body is None or self.state is None:
+            return False
+        moved = (x - self._x).norm(dim=1)
+        if not (moved > least).any():
+            return False
+        found = self._body(x)
+        turned = (found.normal - self.state.normal).norm(dim=1)
+        new = (moved > least) & (turned <= torch.clamp(_TURN + moved / _RADIUS, max=_MOST))
+        fields = {
+            name: torch.where(new[:, None], value, getattr(self.state, name)) for name, value in vars(found).items()
+        }
+        self.state, self._x = BodyState(**fields), torch.where(new[:, None], x, self._x)
+        return bool(new.any())
 
 
 class Newton:
@@ -138,19 +149,19 @@ class Newton:
         Raises:
             CaphyError: the guess or its energy is not finite.
         """
-        here = self._evaluate(guess, step, body)
+        planes = _Planes(body, guess)
+        here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise CaphyError("the state to start from must be finite, with finite energy; check pose and garment")
-        planes = _Planes(body)
         slow = False
         for iteration in range(self.max_iterations):
             if here.residual <= self.tolerance:
-                if planes.settled(here.x):
+                if not planes.settle(here.x):
                     return here.x, Report(True, iteration, here.residual, "converged")
-                here = self._evaluate(here.x, step, planes.view)
+                here = self._evaluate(here.x, step, planes.state)
                 continue
             direction, damping = self._direction(here, step, damping, slow)
-            there, fraction = self._search(here, direction, step, planes.view, slow)
+            there, fraction = self._search(here, direction, step, slow)
             if there is None:
                 if damping > 1e12:
                     return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
@@ -158,8 +169,7 @@ class Newton:
                 continue
             damping = damping / 4 if fraction >= 1 else damping
             slow = there.residual > _SLOW * here.residual
-            planes.moved(here, there)
-            here = there
+            here = self._evaluate(there.x, step, planes.state) if planes.follow(there.x) else there
         converged = here.residual <= self.tolerance
         reason = "converged" if converged else f"stopped after {self.max_iterations} iterations"
         return here.x, Report(converged, self.max_iterations, here.residual, reason)
@@ -174,8 +184,7 @@ class Newton:
         values = None if factor is not None else self.hessian.values(x, step, state)
         return factor if values is None else self._damped(values, 0.0)[0]
 
-    def _evaluate(self, x: Tensor, step: Step | None, body: Body | None) -> _Point:
-        state = None if body is None else body(x)
+    def _evaluate(self, x: Tensor, step: Step | None, state: BodyState | None) -> _Point:
         energy, gradient = self.potential.gradient(x, step, state)
         forces = gradient.numpy()
         return _Point(x, state, float(energy), forces if self._free is None else forces * self._free)
@@ -202,7 +211,7 @@ class Newton:
             damping = max(10 * damping, 1e-3)
 
     def _search(
-        self, here: _Point, direction: np.ndarray, step: Step | None, body: Body | None, slow: bool
+        self, here: _Point, direction: np.ndarray, step: Step | None, slow: bool
     ) -> tuple[_Point | None, float]:
         """The first halving of a safe step that lowers the energy enough (Armijo), and its fraction.
 
@@ -213,14 +222,14 @@ class Newton:
         fraction = min(1.0, _safe_fraction(here, direction))
         move = torch.from_numpy(direction)
         for _ in range(_HALVINGS):
-            there = self._evaluate(here.x + fraction * move, step, body)
+            there = self._evaluate(here.x + fraction * move, step, here.body)
             if there.energy <= here.energy + _SUFFICIENT * fraction * slope + rounding:
                 break
             fraction /= 2
         else:
             return None, 0.0
         while slow and 1 <= fraction < _LONGEST:
-            farther = self._evaluate(here.x + 2 * fraction * move, step, body)
+            farther = self._evaluate(here.x + 2 * fraction * move, step, here.body)
             if not farther.energy < there.energy:
                 break
             there, fraction = farther, 2 * fraction
