@@ -107,12 +107,12 @@ def _motions(paths: tuple[Path, ...]) -> tuple[list[PoseSequence], list[PoseSequ
     from caphy.io.poses import read_poses
     from caphy.io.procedural import procedural_motion
 
-    made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
     if not paths:
+        made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
         return made[:4], made[4:]
     motions = [read_poses(path) for path in paths]
     if len(motions) == 1:
         middle = len(motions[0]) // 2
         motions = [motions[0][:middle], motions[0][middle:]]
     held_out = motions[1::3]
-    return [*made, *(motion for motion in motions if motion not in held_out)], held_out
+    return [procedural_motion(seconds=20.0), *(motion for motion in motions if motion not in held_out)], held_out

@@ -61,6 +61,7 @@ def test_the_heads_error_is_stated_on_motions_held_out_of_training(tmp_path):
 
 
 def test_nothing_is_written_where_the_graph_differs(tmp_path, capsys, monkeypatch):
+    write_poses(wiggle(1.0), tmp_path / "held.npz")
     run = run_folder(tmp_path, "tshirt")
     monkeypatch.setattr("export.features_graph.LIMIT", 0.1)
     assert main(["export", str(run), "-o", str(tmp_path / "out")]) == 2
