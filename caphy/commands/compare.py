@@ -114,14 +114,14 @@ def _with_physics(command: Compare, model: Model, measurement: Measurement) -> C
     from caphy.garment.template import Garment
     from caphy.measure.comparison import compare
     from caphy.measure.prediction import predict_in_windows
-    from caphy.measure.scene import Scene, with_regions
+    from caphy.measure.scene import Scene
 
     garment = None if command.garment is None else Garment.load(command.garment)
     scene = Scene.of(measurement, garment, None if command.body is None else BodyModel.load(command.body))
     with Progress(measurement.name) as progress:
         prediction = predict_in_windows(scene, model, command.window, progress)
         progress("comparing", 1, 1)
-    return compare(prediction, measurement, scene, with_regions(measurement, scene.garment).regions)
+    return compare(prediction, measurement, scene.regions)
 
 
 def _with_avatar(command: Compare, bundle: AvatarBundle, measurement: Measurement) -> Comparison:
@@ -132,7 +132,7 @@ def _with_avatar(command: Compare, bundle: AvatarBundle, measurement: Measuremen
 
     garment = matching_garment(measurement, bundle, command.garment)
     prediction = predict_with_avatar(measurement, bundle, garment)
-    return compare(prediction, measurement, None, np.array(garment.mesh.region_names)[garment.mesh.region])
+    return compare(prediction, measurement, np.array(garment.mesh.region_names)[garment.mesh.region])
 
 
 class Progress:

@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from caphy.body.kinematics import joint_transforms
+from caphy.body.skinning import blend_transforms, skin
 from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle, BundledGarment
 from caphy.io.measurements import Measurement
 from caphy.io.poses import PoseSequence
 from caphy.measure.prediction import Prediction
+from caphy.rotations import matrix_from_axis_angle
 
 _CHUNK = 120
 _FRAMES_PER_GROUP = 8  # rows that belong together when uncertainty is told, as in windows of the solver
@@ -25,6 +28,7 @@ def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment:
         CaphyError: the measurement has no poses, or the graph cannot be run.
     """
     motion, before = _motion(measurement)
+    assert measurement.poses is not None and measurement.transl is not None
     resampled = motion.resample(bundle.fps)
     vertices = run_graph(garment, resampled.poses, resampled.transl)
     frames = measurement.seen_frames
@@ -43,6 +47,9 @@ def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment:
         lag=None,
         window=frames // _FRAMES_PER_GROUP,
         converged=np.ones(len(frames), bool),
+        material=measurement.material,
+        body_vertices=_body(bundle, measurement.poses[frames], measurement.transl[frames]),
+        body_faces=bundle.body.faces,
     )
 
 
@@ -75,11 +82,18 @@ def run_graph(garment: BundledGarment, poses: np.ndarray, transl: np.ndarray) ->
                 "transl": transl[chunk].astype(np.float32),
                 "state": state,
             }
-            vertices, state = session.run(["vertices", "state"], feed)
+            vertices, state = session.run(["vertices", "next_state"], feed)
             parts.append(vertices)
     except Exception as error:
         raise CaphyError(f"garment {garment.name!r}: its graph cannot be run: {error}; export it again") from error
     return np.concatenate(parts).astype(np.float64)
+
+
+def _body(bundle: AvatarBundle, poses: np.ndarray, transl: np.ndarray) -> np.ndarray:
+    """The avatar's body (N, B, 3) [m] in poses (N, 55, 3) [rad] moved by ``transl`` (N, 3) [m]."""
+    transforms = joint_transforms(matrix_from_axis_angle(poses), bundle.joints, bundle.parents)
+    blended = blend_transforms(bundle.body.dense_weights(), transforms)
+    return skin(blended, bundle.body.vertices.astype(np.float64)) + transl[:, None]
 
 
 def _motion(measurement: Measurement) -> tuple[PoseSequence, int]:

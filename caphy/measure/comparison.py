@@ -11,7 +11,6 @@ from caphy.measure.covariates import Covariate, covariates
 from caphy.measure.errors import SurfaceErrors, VertexErrors, surface_errors, vertex_errors
 from caphy.measure.noise import measurement_noise
 from caphy.measure.prediction import Prediction
-from caphy.measure.scene import Scene
 from caphy.measure.sentences import sentences
 from caphy.measure.statistics import MILLI, binned, contrast, interval, mean_mm, summary
 
@@ -30,17 +29,14 @@ class Comparison:
     measurement: Measurement
     errors: VertexErrors
     regions: np.ndarray
-    scene: Scene | None
 
 
-def compare(
-    prediction: Prediction, measurement: Measurement, scene: Scene | None, names: np.ndarray | None = None
-) -> Comparison:
+def compare(prediction: Prediction, measurement: Measurement, names: np.ndarray | None = None) -> Comparison:
     """Compare what a model predicts with what was measured; ``names`` (V,) are the regions of the model's mesh."""
     surface = surface_errors(prediction, measurement)
     errors = vertex_errors(prediction, measurement) if prediction.registered else _as_vertex_errors(surface)
     regions = region_names(prediction, names)
-    found = covariates(prediction, measurement, scene)
+    found = covariates(prediction, measurement)
     figures = {
         "measurement": _about(measurement),
         "prediction": _prediction(prediction),
@@ -53,7 +49,7 @@ def compare(
         "moments": _moments(prediction, measurement, errors, regions),
     }
     figures["sentences"] = sentences(figures)
-    return Comparison(figures, prediction, measurement, errors, regions, scene)
+    return Comparison(figures, prediction, measurement, errors, regions)
 
 
 def region_names(prediction: Prediction, names: np.ndarray | None) -> np.ndarray:

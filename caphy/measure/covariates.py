@@ -13,7 +13,6 @@ from caphy.io.measurements import Measurement
 from caphy.io.poses import PoseSequence
 from caphy.measure.local_fit import local_quadratic
 from caphy.measure.prediction import Prediction
-from caphy.measure.scene import Scene
 
 JOINT_GROUPS: Final = {
     "hips": ("left_hip", "right_hip"),
@@ -37,27 +36,26 @@ class Covariate:
     when: str
 
 
-def covariates(prediction: Prediction, measurement: Measurement, scene: Scene | None) -> list[Covariate]:
+def covariates(prediction: Prediction, measurement: Measurement) -> list[Covariate]:
     """All that this measurement allows."""
     found = [
         Covariate("height", "m", prediction.vertices[..., 1], "the cloth is high up"),
-        Covariate("stretch", "%", 100 * stretch(prediction, measurement, scene), "the cloth is stretched"),
+        Covariate("stretch", "%", 100 * stretch(prediction), "the cloth is stretched"),
         *_motion_of_cloth(prediction, measurement),
         *_motion_of_body(prediction, measurement),
     ]
-    if scene is not None and scene.motion is not None:
-        found.append(
-            Covariate("distance to the body", "mm", 1e3 * _contact(prediction, scene), "the cloth is far from the body")
-        )
+    if prediction.body_vertices is not None:
+        distance = 1e3 * _contact(prediction)
+        found.append(Covariate("distance to the body", "mm", distance, "the cloth is far from the body"))
     return [c for c in found if np.isfinite(c.values).any() and np.nanstd(c.values) > 0]
 
 
-def stretch(prediction: Prediction, measurement: Measurement, scene: Scene | None) -> np.ndarray:
+def stretch(prediction: Prediction) -> np.ndarray:
     """Largest principal stretch of the model's cloth less one, mean of the faces around each vertex, (N, V).
 
     Read from the model: one millimetre of noise on a measured edge of two centimetres is 7 % of stretch.
     """
-    material = measurement.material if scene is None else scene.garment.material
+    material = prediction.material
     count = prediction.vertices.shape[1]
     if material is None or len(material) != len(prediction.faces):
         return np.full((1, count), np.nan)
@@ -113,13 +111,9 @@ def _at_frames(steps: np.ndarray) -> np.ndarray:
     return 0.5 * (np.concatenate([steps[:1], steps]) + np.concatenate([steps, steps[-1:]]))
 
 
-def _contact(prediction: Prediction, scene: Scene) -> np.ndarray:
+def _contact(prediction: Prediction) -> np.ndarray:
     """Signed distance of the model's cloth to the body (N, V) [m]."""
-    assert scene.body_faces is not None
-    surface, rows = None, []
-    for frame, vertices in zip(prediction.frames, prediction.vertices, strict=True):
-        body = scene.body_vertices(int(frame))
-        assert body is not None
-        surface = Surface.of(scene.body_faces, body) if surface is None else surface
-        rows.append(surface.nearest(vertices, body).distance)
-    return np.stack(rows)
+    assert prediction.body_faces is not None and prediction.body_vertices is not None
+    surface = Surface.of(prediction.body_faces, prediction.body_vertices[0])
+    rows = zip(prediction.vertices, prediction.body_vertices, strict=True)
+    return np.stack([surface.nearest(vertices, body).distance for vertices, body in rows])

@@ -7,6 +7,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.measure.comparison import Comparison
+from caphy.measure.prediction import Prediction
 from caphy.report.camera import Camera
 from caphy.report.page.colours import error_colours, nice_ceiling
 from caphy.report.page.compose import Picture, Section
@@ -35,8 +36,6 @@ def track(comparison: Comparison) -> Track:
         "outward (+) or inward": errors.normal,
         "too low (+) or too high": errors.down,
     }
-    scene, frames = comparison.scene, [int(frame) for frame in prediction.frames]
-    bodies = None if scene is None or scene.motion is None else np.stack([_body(scene, f) for f in frames])
     return Track(
         vertices=prediction.vertices,
         faces=prediction.faces,
@@ -44,16 +43,10 @@ def track(comparison: Comparison) -> Track:
         fps=measurement.fps,
         fields={name: 1e3 * values for name, values in fields.items() if np.isfinite(values).any()},
         measured=_measured(comparison),
-        body=bodies,
-        body_faces=None if bodies is None or scene is None else scene.body_faces,
+        body=prediction.body_vertices,
+        body_faces=prediction.body_faces,
         regions=comparison.regions,
     )
-
-
-def _body(scene, frame: int) -> np.ndarray:
-    found = scene.body_vertices(frame)
-    assert found is not None
-    return found
 
 
 def _measured(comparison: Comparison) -> np.ndarray | list[np.ndarray]:
@@ -72,7 +65,7 @@ def worst_moments(comparison: Comparison) -> tuple[Picture, ...]:
         row, frame = moment["row"], moment["frame"]
         model = prediction.vertices[row]
         colours = error_colours(1e3 * comparison.errors.distance[row], largest)
-        body = [] if comparison.scene is None or comparison.scene.motion is None else _body_shape(comparison, frame)
+        body = _body_shape(prediction, row)
         camera = Camera.framing(model, azimuth=_azimuth(comparison, row, moment["region"]), elevation=12, margin=1.2)
         images = [render([Shape(model, prediction.faces, colours), *body], camera, (SIDE, SIDE))]
         measured = _measured_shape(comparison, frame)
@@ -90,10 +83,10 @@ def _png(image: np.ndarray) -> bytes:
     return cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
-def _body_shape(comparison: Comparison, frame: int) -> list[Shape]:
-    scene = comparison.scene
-    assert scene is not None and scene.body_faces is not None
-    return [Shape(_body(scene, frame), scene.body_faces)]
+def _body_shape(prediction: Prediction, row: int) -> list[Shape]:
+    if prediction.body_vertices is None or prediction.body_faces is None:
+        return []
+    return [Shape(prediction.body_vertices[row], prediction.body_faces)]
 
 
 def _measured_shape(comparison: Comparison, frame: int) -> Shape | None:

@@ -18,7 +18,7 @@ from caphy.solve.rollout import Simulator
 
 FINER = 4
 """How many times finer the steps are by which the error of the time step is told."""
-CHECKED = 4
+CHECKED = 3
 """Windows in which the errors of the time step and of the restarts are told."""
 RUN_UP = 3
 """Frames of the model's own motion that a restart looks back on."""
@@ -42,6 +42,8 @@ class Prediction:
         step_error: how far vertices move when the time step is made finer, (N, V) [m]; NaN where not tried.
         start_error: how far vertices move when the model's own motion, with the measurement's noise added, is what it
             is restarted from, (N, V) [m]; NaN where not tried. A perfect model would still be that far off.
+        material: flat rest shape of each face (F, 3, 2) [m], or none.
+        body_vertices, body_faces: the body in each row (N, B, 3) [m] and its triangles, or none.
     """
 
     frames: np.ndarray
@@ -53,6 +55,9 @@ class Prediction:
     converged: np.ndarray
     step_error: np.ndarray | None = None
     start_error: np.ndarray | None = None
+    material: np.ndarray | None = None
+    body_vertices: np.ndarray | None = None
+    body_faces: np.ndarray | None = None
 
 
 def predict_in_windows(
@@ -125,8 +130,9 @@ def _joined(
     scene: Scene, runs: list[WindowRun], step_errors: list[np.ndarray], start_errors: list[np.ndarray]
 ) -> Prediction:
     """Windows as rows. A window's own start is left out: it is made from the measurement."""
+    frames = np.concatenate([run.frames[1:] for run in runs])
     return Prediction(
-        frames=np.concatenate([run.frames[1:] for run in runs]),
+        frames=frames,
         vertices=np.concatenate([run.positions[1:] for run in runs]),
         faces=scene.garment.faces,
         registered=scene.measurement.registered,
@@ -135,4 +141,7 @@ def _joined(
         converged=np.concatenate([run.converged[1:] for run in runs]),
         step_error=np.concatenate([error[1:] for error in step_errors]),
         start_error=np.concatenate([error[1:] for error in start_errors]),
+        material=scene.garment.material,
+        body_vertices=scene.body_vertices(frames),
+        body_faces=scene.body_faces,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -78,16 +78,19 @@ class Scene:
         newton = Newton(potential, self.fixed, tolerance)
         return Simulator(newton, self.motion, pins=self.pins)  # type: ignore[arg-type]
 
-    def body_vertices(self, frame: int) -> np.ndarray | None:
-        """The body (B, 3) [m] in a frame, or none."""
+    def body_vertices(self, frames: np.ndarray) -> np.ndarray | None:
+        """The body (N, B, 3) [m] in frames (N,), or none."""
         if self.motion is None:
             return None
-        time = frame / self.measurement.fps
-        return (
-            self.motion.vertices(time)
-            if isinstance(self.motion, MeshBody)
-            else self.motion.vertices(np.array([time]))[0]
-        )
+        times = np.asarray(frames) / self.measurement.fps
+        if isinstance(self.motion, MeshBody):
+            return np.stack([self.motion.vertices(float(time)) for time in times])
+        return self.motion.vertices(times)
+
+    @property
+    def regions(self) -> np.ndarray:
+        """Name of the part each vertex belongs to, (V,): the measurement's own, else the garment's."""
+        return self.garment.regions if self.measurement.regions is None else self.measurement.regions
 
     @property
     def body_faces(self) -> np.ndarray | None:
@@ -152,9 +155,3 @@ def _pins(measurement: Measurement, count: int) -> tuple[np.ndarray | None, Call
         return torch.from_numpy(np.ascontiguousarray(path(min(max(time, 0.0), last))))
 
     return fixed, pins
-
-
-def with_regions(measurement: Measurement, garment: Garment) -> Measurement:
-    """The measurement with the garment's region names where it has none of its own."""
-    named = len(set(garment.regions.tolist())) > 1
-    return replace(measurement, regions=garment.regions) if measurement.regions is None and named else measurement

@@ -39,7 +39,7 @@ def dragged() -> Measurement:
 
 def compared(measurement: Measurement) -> dict:
     scene = Scene.of(measurement)
-    return compare(predict_in_windows(scene, MODEL), measurement, scene).figures
+    return compare(predict_in_windows(scene, MODEL), measurement).figures
 
 
 def test_the_right_model_is_told_from_one_that_lacks_an_effect(plain, dragged):

@@ -1,0 +1,87 @@
+"""Trained avatars against measurements made by their own networks in torch, shifted by a known amount."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from caphy.errors import CaphyError
+from caphy.io.measurements import Measurement
+from caphy.measure.avatar import matching_garment, predict_with_avatar
+from caphy.measure.comparison import compare
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from shell_avatar import random_network, shell, shell_avatar, wiggle
+
+
+@pytest.fixture(scope="module")
+def measurement() -> Measurement:
+    """Every second frame of the T-shirt's network at 60 frames a second is one that the network sees at 30."""
+    garment, motion = shell("tshirt"), wiggle(1.0)
+    vertices = random_network(garment).stream(motion.poses, motion.transl).astype(np.float64)
+    return Measurement("shell", 30.0, vertices=vertices, faces=garment.faces, poses=motion.poses, transl=motion.transl)
+
+
+def test_an_avatar_agrees_with_its_own_network(measurement):
+    bundle = shell_avatar()
+    garment = matching_garment(measurement, bundle)
+    assert garment.name == "tshirt"
+    prediction = predict_with_avatar(measurement, bundle, garment)
+    assert prediction.registered
+    np.testing.assert_allclose(prediction.vertices, measurement.vertices, atol=2e-5)
+
+
+def test_a_shift_of_the_measurement_is_the_error(measurement):
+    higher = replace(measurement, vertices=measurement.vertices + np.array([0, 0.006, 0]))
+    bundle = shell_avatar()
+    names = bundle.garment("tshirt").mesh
+    figures = compare(
+        predict_with_avatar(higher, bundle, bundle.garment("tshirt")),
+        higher,
+        np.array(names.region_names)[names.region],
+    ).figures
+    assert figures["error"]["median_mm"] == pytest.approx(6.0, abs=0.05)
+    assert figures["error"]["down_mean_mm"] == pytest.approx(6.0, abs=0.05)
+    assert figures["by_lag"] == []
+    assert {row["region"] for row in figures["by_region"]} == {"upper", "lower"}
+    assert "running freely" in figures["sentences"][0]
+    assert any(row["name"] == "distance to the body" for row in figures["by_covariate"])
+
+
+def test_a_preroll_warms_the_stream_up_and_other_rates_are_resampled(measurement):
+    bundle, garment = shell_avatar(), shell_avatar().garment("tshirt")
+    later = replace(
+        measurement,
+        vertices=measurement.vertices[10:],
+        poses=measurement.poses[10:],
+        transl=measurement.transl[10:],
+        preroll_poses=measurement.poses[:10],
+        preroll_transl=measurement.transl[:10],
+    )
+    np.testing.assert_allclose(predict_with_avatar(later, bundle, garment).vertices, later.vertices, atol=2e-5)
+    half = replace(
+        measurement,
+        fps=15.0,
+        vertices=measurement.vertices[::2],
+        poses=measurement.poses[::2],
+        transl=measurement.transl[::2],
+    )
+    off = predict_with_avatar(half, bundle, garment).vertices - half.vertices
+    assert np.median(np.linalg.norm(off, axis=-1)) < 0.003  # slerp between every second pose is not the motion itself
+
+
+def test_clouds_and_cloth_without_a_body(measurement):
+    bundle, garment = shell_avatar(), shell_avatar().garment("tshirt")
+    points = measurement.vertices[:, ::3].reshape(-1, 3)
+    count = measurement.vertices[:, ::3].shape[1]
+    offsets = count * np.arange(len(measurement) + 1)
+    cloud = replace(measurement, vertices=None, faces=None, points=points, offsets=offsets)
+    figures = compare(predict_with_avatar(cloud, bundle, garment), cloud).figures
+    assert figures["error"]["surface_median_mm"] < 0.02
+    assert figures["error"]["down_mean_mm"] is None
+    with pytest.raises(CaphyError, match="driven by poses"):
+        predict_with_avatar(replace(measurement, poses=None, transl=None), bundle, garment)
