@@ -112,24 +112,23 @@ class Trainer:
         fresh = torch.as_tensor(windows.fresh, device=self.hidden.device)[None, :, None]
         features = windows.features(self.motions).to(self.hidden)
         offsets, hidden = self.model(features, torch.where(fresh, 0, self.hidden))
+        self._require_finite(offsets.detach())
         potential, past = self.objective(self.motions, windows, offsets, self.past)
         loss = potential.mean()
         self.optimizer.zero_grad()
         loss.backward()
-        self._require_finite(float(loss.detach()))
+        self._require_finite(loss.detach(), *(p.grad for p in self.learner.parameters() if p.grad is not None))
         self.optimizer.step()
         self.hidden, self.past = hidden.detach(), past
         self.progress.step += 1
         return float(loss.detach())
 
-    def _require_finite(self, loss: float) -> None:
-        """Gradients are common to all processes, so all stop together."""
-        squares = sum(p.grad.square().sum() for p in self.learner.parameters() if p.grad is not None)
-        if not (math.isfinite(loss) and math.isfinite(float(squares))):
+    def _require_finite(self, *values: Tensor) -> None:
+        if not all(torch.isfinite(value.sum()) for value in values):
             raise CaphyError(
-                f"step {self.progress.step + 1}: the potential or its gradient is not finite (potential {loss} J). "
-                f"The last good checkpoint is kept in {self.folder}; check the garment with 'caphy garment check' and "
-                "the model's parameters, then go on with --resume"
+                f"step {self.progress.step + 1}: the prediction, its potential or the gradient is not finite. The last "
+                f"good checkpoint is kept in {self.folder}; check the garment with 'caphy garment check' and the "
+                "model's parameters, then go on with --resume"
             )
 
     def run(self, checkpoint_seconds: float = 120.0) -> None:

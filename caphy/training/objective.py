@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from caphy.body.model import BodyModel
 from caphy.body.skinning import blend_transforms, skin
+from caphy.body.surface import Surface
 from caphy.effects.base import BodyState, Step
 from caphy.effects.potential import Potential
 from caphy.training.motions import Motions
-from caphy.training.nearest import BodySearch
 from caphy.training.streams import Windows
 
 
@@ -22,6 +25,18 @@ class Past:
 
     before: Tensor
     previous: Tensor
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The scored frames of some windows with all that their potential depends on, each field (B, K, V, 3).
+
+    x: positions [m], which carry the gradient; step and body: see :mod:`caphy.effects.base`.
+    """
+
+    x: Tensor
+    step: Step
+    body: BodyState
 
 
 class Objective:
@@ -39,60 +54,59 @@ class Objective:
         """``template`` (V, 3) [m] and ``weights`` (V, 55) are the network's, in float32."""
         self.potential, self.body, self.betas, self.dt = potential, body, betas, 1 / fps
         self.template, self.weights = template, weights
-        self.search = BodySearch(body.rest(betas)[0], body.faces)
+        self.surface = Surface.of(body.faces, body.rest(betas)[0])
 
-    def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past | None) -> tuple[Tensor, Past]:
-        """Potential (B, T) [J] and the streams' past after the window.
+    def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Past]:
+        """Potential (B, K) [J] of the scored frames, and the streams' past after the windows.
 
         Args:
             offsets: predicted canonical offsets [m], (B, T, V, 3).
-            past: what the previous call returned; not read where the window is fresh.
+            past: what the previous call returned; half of it is not read where a window is fresh.
         """
-        x, anchor, past = self.placed(motions, windows, offsets, past)
-        step = self.step(windows, x.detach(), past)
-        body = at_most_at_skin(self.body_state(motions, windows, x.detach(), anchor), x.detach())
-        loss = self.potential.loss(x, step, body)
-        now = x.detach()
-        return loss, Past(now[:, -2], now[:, -1])
+        scene, past = self.scene(motions, windows, offsets, past)
+        body = at_most_at_skin(scene.body, scene.x.detach())
+        return self.potential.loss(scene.x, scene.step, body), past
 
-    def placed(
-        self, motions: Motions, windows: Windows, offsets: Tensor, past: Past | None
-    ) -> tuple[Tensor, Tensor, Past]:
-        """World positions and anchors (B, T, V, 3), and the past, made up where a stream starts."""
+    def scene(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Scene, Past]:
+        """The scored frames at offsets (B, T, V, 3), and the streams' past after the windows."""
         device = self.template.device
-        frames = torch.cat([torch.as_tensor(windows.before)[:, None], torch.as_tensor(windows.frames)], 1)
+        frames = torch.from_numpy(np.concatenate([windows.before[:, None], windows.frames], 1))
         blended = blend_transforms(self.weights, motions.transforms[frames].to(device))
         x = skin(blended[:, 1:], self.template + offsets)
-        anchor = skin(blended[:, 1:], self.template.expand_as(offsets))
         carried = skin(blended[:, 0], self.template + offsets[:, 0].detach())
-        if past is None:
-            return x, anchor, Past(carried, carried)
-        fresh = torch.as_tensor(windows.fresh, device=device)[:, None, None]
-        return x, anchor, Past(past.before, torch.where(fresh, carried, past.previous))
+        fresh = torch.from_numpy(windows.fresh).to(device)[:, None, None]
+        past = Past(past.before, torch.where(fresh, carried, past.previous))
+        history = torch.cat([past.before[:, None], past.previous[:, None], x.detach()], 1)
 
-    def step(self, windows: Windows, x: Tensor, past: Past) -> Step:
-        """The step of implicit Euler that each frame of x (B, T, V, 3) takes; none where it stands still."""
-        history = torch.cat([past.before[:, None], past.previous[:, None], x], 1)
-        still = torch.as_tensor(windows.held)[:, None].repeat(1, x.shape[1])
-        still[:, 0] |= torch.as_tensor(windows.fresh)
-        still = still.to(x.device)[..., None, None]
-        return Step.implicit_euler(
-            self.dt, torch.where(still, x, history[:, 1:-1]), torch.where(still, x, history[:, :-2])
-        )
+        rows = torch.arange(len(frames), device=device)[:, None]
+        scored = torch.from_numpy(windows.scored).to(device)
+        anchor = skin(blended[rows, scored + 1], self.template)
+        still = torch.from_numpy(windows.held[:, None] | (windows.fresh[:, None] & (windows.scored == 0)))
+        still = still.to(device)[..., None, None]
+        now = history[rows, scored + 2]
+        previous, before = (torch.where(still, now, history[rows, scored + back]) for back in (1, 0))
+        step = Step.implicit_euler(self.dt, previous, before)
+        body = self.body_state(motions, windows, now, anchor)
+        return Scene(x[rows, scored], step, body), Past(history[:, -2], history[:, -1])
 
     def body_state(self, motions: Motions, windows: Windows, x: Tensor, anchor: Tensor) -> BodyState:
-        """What the vertices at x (B, T, V, 3) see of the body, its velocity over the last frame."""
-        count, length = windows.frames.shape
-        frames = torch.cat([torch.as_tensor(windows.before)[:, None], torch.as_tensor(windows.frames)], 1).numpy()
-        flat = frames.reshape(-1)
-        bodies = self.body.pose(motions.poses[flat], motions.transl[flat], self.betas).astype("float32")
-        bodies = bodies.reshape(count, length + 1, -1, 3)
-        now, earlier = bodies[:, 1:].reshape(count * length, -1, 3), bodies[:, :-1].reshape(count * length, -1, 3)
-        found = self.search.nearest(x.flatten(0, 1).cpu().numpy(), now)
-        velocity = (found.point - self.search.interpolated(found, earlier)) / self.dt
-        point, normal, velocity = (
-            torch.from_numpy(a).to(x).unflatten(0, (count, length)) for a in (found.point, found.normal, velocity)
-        )
+        """What the vertices at x (B, K, V, 3) see of the body in the scored frames, moving as since the last frame."""
+        frames = np.take_along_axis(windows.frames, windows.scored, 1).reshape(-1)
+        last = frames - np.repeat(~windows.held, windows.scored.shape[1])
+        posed = np.concatenate([frames, last])
+        bodies = self.body.pose(motions.poses[posed], motions.transl[posed], self.betas)
+        now, earlier = bodies[: len(frames)], bodies[len(frames) :]
+        points = x.flatten(0, 1).cpu().numpy()
+        result = np.empty((3, *points.shape), dtype=np.float32)
+
+        def look(i: int) -> None:
+            found = self.surface.nearest(points[i], now[i])
+            corners = earlier[i][self.surface.faces[found.face]]
+            result[0, i], result[1, i] = found.point, found.normal
+            result[2, i] = (found.point - np.einsum("vk,vkc->vc", found.barycentric, corners)) / self.dt
+
+        _in_threads(look, len(points))
+        point, normal, velocity = torch.from_numpy(result).to(x).unflatten(1, x.shape[:2])
         return BodyState(point, normal, velocity, anchor)
 
 
@@ -101,6 +115,17 @@ def at_most_at_skin(body: BodyState, x: Tensor) -> BodyState:
 
     Equal to the body itself wherever the cloth is outside, so at every sensible minimum. Inside, a penalty that grows
     with the cube of the depth would let the few vertices caught where limb and trunk overlap drown everything else.
+    (The energy stated for a vertex inside is that at the skin; its gradient goes on pushing it out.)
     """
     depth = ((body.point - x) * body.normal).sum(-1, keepdim=True).clamp_min(0)
     return replace(body, point=body.point - depth * body.normal)
+
+
+def _in_threads(work: Callable[[int], None], count: int) -> None:
+    """Do ``work`` for 0 .. count - 1 in as many threads as torch uses."""
+    if torch.get_num_threads() == 1:
+        for i in range(count):
+            work(i)
+        return
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        list(pool.map(work, range(count)))

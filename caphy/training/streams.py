@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -13,6 +13,8 @@ from caphy.training.motions import Motions
 
 WINDOW = 5
 """Poses per window: gradients flow through this many frames (CaPhy, section 4.1)."""
+SCORED = 2
+"""Frames of a window whose potential is taken, at random: neighbouring frames say almost the same."""
 LONGEST = 24
 """Most windows a stream plays before it starts anew elsewhere."""
 HELD_SHARE = 0.15
@@ -37,17 +39,19 @@ class Windows:
     """One window of each of B streams.
 
     frames (B, 5) indices into :class:`Motions`; before (B,) the frame preceding the window; fresh (B,) true where the
-    stream starts with this window; held (B,) true where a pose is held.
+    stream starts with this window; held (B,) true where a pose is held; scored (B, K) the places in the window, 0 to 4,
+    whose potential is taken.
     """
 
     frames: np.ndarray
     before: np.ndarray
     fresh: np.ndarray
     held: np.ndarray
+    scored: np.ndarray
 
     def __getitem__(self, rows: slice) -> Windows:
         """Some of the streams."""
-        return Windows(self.frames[rows], self.before[rows], self.fresh[rows], self.held[rows])
+        return Windows(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def features(self, motions: Motions) -> Tensor:
         """What the network sees, (B, T, D)."""
@@ -99,4 +103,8 @@ class Streams:
         held = np.array([s.held for s in self._segments])
         stride = np.where(held, 0, 1)
         frames = first[:, None] + stride[:, None] * (played[:, None] * WINDOW + np.arange(WINDOW))
-        return Windows(frames, frames[:, 0] - stride, played == 0, held)
+        return Windows(frames, frames[:, 0] - stride, played == 0, held, self._scored())
+
+    def _scored(self) -> np.ndarray:
+        random = (np.random.default_rng([self.seed, i, *place, 1]) for i, place in enumerate(self.place))
+        return np.stack([r.permutation(WINDOW)[:SCORED] for r in random])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 from caphy.effects.cloth import Cloth
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.motions import Motions
-from caphy.training.objective import Objective, Past
+from caphy.training.objective import Objective, Past, Scene
 from caphy.training.streams import Windows
 
 CHUNK = 30
@@ -57,43 +58,42 @@ class Frames:
 def validate(network: GarmentNetwork, objective: Objective, motions: Motions) -> Frames:
     """Measure a network streaming through each of the clips of ``motions`` from a cold start."""
     parts = []
-    for first, last in zip(motions.starts[:-1], motions.starts[1:], strict=True):
-        past, hidden = None, None
+    for first, last in pairwise(motions.starts.tolist()):
+        past, hidden, tail = standing(network.template), None, None
         for start in range(first + 1, last, CHUNK):
             windows = clip_windows(start, min(start + CHUNK, last), start == first + 1)
             offsets, hidden = network.offsets(windows.features(motions).to(network.template), hidden)
-            frames, past = measure(objective, motions, windows, offsets, past)
-            parts.append((frames, SETTLED if start == first + 1 else 0))
+            scene, past = objective.scene(motions, windows, offsets, past)
+            frames = measure(objective, scene, offsets if tail is None else torch.cat([tail, offsets], 1))
+            parts.append((frames, SETTLED if tail is None else 0))
+            tail = offsets[:, -2:]
     return _joined(parts)
 
 
+def standing(template: Tensor) -> Past:
+    """A past for one stream that is about to start: nothing reads it."""
+    return Past(template[None], template[None])
+
+
 def clip_windows(start: int, stop: int, fresh: bool) -> Windows:
-    """The frames of a clip from ``start`` to ``stop`` as the one window of one stream."""
-    return Windows(np.arange(start, stop)[None], np.array([start - 1]), np.array([fresh]), np.array([False]))
+    """The frames of a clip from ``start`` to ``stop`` as the one window of one stream, all of them scored."""
+    frames = np.arange(start, stop)[None]
+    return Windows(frames, np.array([start - 1]), np.array([fresh]), np.array([False]), frames - start)
 
 
-def measure(
-    objective: Objective, motions: Motions, windows: Windows, offsets: Tensor, past: Past | None
-) -> tuple[Frames, Past]:
-    """Measures of the one stream of ``windows`` at canonical offsets (1, T, V, 3), and its past after them."""
-    x, anchor, past = objective.placed(motions, windows, offsets, past)
-    step = objective.step(windows, x, past)
-    body = objective.body_state(motions, windows, x, anchor)
-    energy = objective.potential.energies(x, step, body)
+def measure(objective: Objective, scene: Scene, offsets: Tensor) -> Frames:
+    """Measures of the one stream of ``scene``; offsets (1, T or T + 2, V, 3) [m] may begin two frames early."""
+    energy = objective.potential.energies(scene.x, scene.step, scene.body)
     if "gravity" in energy:
-        energy["gravity"] = energy["gravity"] - objective.potential.energies(anchor, None, body)["gravity"]
-    cloth = objective.potential.cloth
-    depth = ((body.point - x) * body.normal).sum(-1)
-    history = torch.cat([past.before[:, None], past.previous[:, None], x], 1)
-    moved = torch.diff(offsets, n=2, dim=1) / objective.dt**2
-    shake = torch.nn.functional.pad(moved.square().sum(-1).mean(-1).sqrt(), (2, 0), value=float("nan"))
-    frames = Frames(
+        energy["gravity"] = energy["gravity"] - objective.potential.energies(scene.body.anchor)["gravity"]
+    depth = ((scene.body.point - scene.x) * scene.body.normal).sum(-1)
+    shake = (torch.diff(offsets, n=2, dim=1) / objective.dt**2).square().sum(-1).mean(-1).sqrt()
+    return Frames(
         {name: value[0].double().cpu().numpy() for name, value in energy.items()},
-        largest_stretch(x[0].cpu(), cloth),
-        (depth > DEEP).float().mean(-1)[0].cpu().numpy(),
+        largest_stretch(scene.x[0].cpu(), objective.potential.cloth),
+        (depth > DEEP).double().mean(-1)[0].cpu().numpy(),
         shake[0].cpu().numpy(),
     )
-    return frames, Past(history[:, -2], history[:, -1])
 
 
 def largest_stretch(x: Tensor, cloth: Cloth) -> np.ndarray:
@@ -132,12 +132,11 @@ def stream_drift(network: GarmentNetwork, poses: Tensor, transl: Tensor, frames:
 
 
 def _joined(parts: list[tuple[Frames, int]]) -> Frames:
-    shake = np.concatenate([frames.shake[skip:] for frames, skip in parts])
     return Frames(
         {name: np.concatenate([f.energy[name][skip:] for f, skip in parts]) for name in parts[0][0].energy},
         np.concatenate([f.stretch[skip:] for f, skip in parts]),
         np.concatenate([f.deep[skip:] for f, skip in parts]),
-        shake[np.isfinite(shake)],
+        np.concatenate([f.shake[skip:] for f, skip in parts]),
     )
 
 
