@@ -29,7 +29,7 @@ class Compare:
     model: tyro.conf.Positional[str]
     """A physics model's JSON, "snug", a measured fabric's name, or the folder of a trained avatar."""
     measurements: tyro.conf.Positional[tuple[Path, ...]]
-    """Measurements: .npz files or folders, see docs/measurements.md."""
+    """Measurements: .npz files, folders, or .csv tables of tensile tests; see docs/measurements.md."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results."""
     garment: str | None = None
@@ -49,27 +49,31 @@ def main(arguments: list[str]) -> None:
         raise CaphyError("give at least one measurement")
     if command.window < 1:
         raise CaphyError(f"--window must be at least one frame, got {command.window}")
-    comparisons = [_compared(command, path) for path in command.measurements]
-    write(comparisons, f"{_title(command.model)} against {_listed(command.measurements)}", command)
+    tables = [path for path in command.measurements if path.suffix == ".csv"]
+    curves = [_compared_curves(command, path) for path in tables]
+    comparisons = [_compared(command, path) for path in command.measurements if path not in tables]
+    write(comparisons, curves, f"{_title(command.model)} against {_listed(command.measurements)}", command)
 
 
-def write(comparisons: Sequence[Comparison], title: str, command: Compare) -> None:
-    """Write compare.json and compare.html, and say the first sentences."""
+def write(comparisons: Sequence[Comparison], curves: Sequence[dict], title: str, command: Compare) -> None:
+    """Write compare.json and compare.html, and say the sentences."""
     from caphy import __version__
     from caphy.measure.pictures import section
     from caphy.report.page.compose import comparison_page
 
     facts = {"model": command.model, "written by": f"caphy {__version__}"}
     sections: list[Section] = [section(comparison) for comparison in comparisons]
-    page = comparison_page(title, sections, facts)
-    document = {"schema": "caphy-comparison-1", **facts, "comparisons": [c.figures for c in comparisons]}
+    page = comparison_page(title, sections, facts, curves)
+    figures = [comparison.figures for comparison in comparisons]
+    document = {"schema": "caphy-comparison-1", **facts, "comparisons": figures, "force_curves": list(curves)}
     command.output.mkdir(parents=True, exist_ok=True)
     written = {"compare.json": json.dumps(document, indent=1, allow_nan=False), "compare.html": page}
     for name, text in written.items():
         _write_text(command.output / name, text)
-    for comparison in comparisons:
-        print(f"\n{comparison.figures['measurement']['name']}")
-        print("\n".join(f"  {sentence}" for sentence in comparison.figures["sentences"]))
+    for name, sentences in [(f["measurement"]["name"], f["sentences"]) for f in figures] + [
+        (table["name"], table["sentences"]) for table in curves
+    ]:
+        print(f"\n{name}\n" + "\n".join(f"  {sentence}" for sentence in sentences))
     print(f"\n{command.output / 'compare.html'}")
 
 
@@ -97,6 +101,17 @@ def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBu
         f"there is no model {name!r}: give a physics model's JSON, an avatar's folder, snug, or one of the fabrics "
         f"{', '.join(fabric_names())}"
     )
+
+
+def _compared_curves(command: Compare, path: Path) -> dict:
+    from caphy.effects.model import Model
+    from caphy.io.measurements import read_force_curves
+    from caphy.measure.uniaxial import compare_curves
+
+    model = load_model(command.model, command.effect_file)
+    if not isinstance(model, Model):
+        raise CaphyError(f"{path}: force curves are compared with a physics model, not with an avatar")
+    return compare_curves(model, read_force_curves(path), path.stem, str(path))
 
 
 def _compared(command: Compare, path: Path) -> Comparison:

@@ -102,7 +102,9 @@ def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys):
         plain, name="short </script>", vertices=plain.vertices[:20], pinned_positions=plain.pinned_positions[:20]
     )
     write_measurement(short, tmp_path / "short.npz")
-    main([str(tmp_path / "model.json"), str(tmp_path / "short.npz"), "-o", str(tmp_path / "out")])
+    (tmp_path / "strip.csv").write_text("axial_strain,force_per_width_N_per_m\n0,0\n0.1,5\n0.2,11\n0.3,20\n")
+    given = [str(tmp_path / name) for name in ("model.json", "short.npz", "strip.csv")]
+    main([*given, "-o", str(tmp_path / "out")])
     figures = json.loads((tmp_path / "out" / "compare.json").read_text())["comparisons"][0]
     assert figures["error"]["median_mm"] > 0
     page = (tmp_path / "out" / "compare.html").read_text()
@@ -110,6 +112,7 @@ def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys):
     assert "http" not in re.sub(r"http://www\.w3\.org/\S+", "", page)
     assert "short &lt;/script&gt;" in page
     assert page.count('class="viewer"') == 1
+    assert "tensile tests, 1 loadings" in page
     assert "mm off" in capsys.readouterr().out
     with pytest.raises(CaphyError, match="there is no model 'silk'"):
         main(["silk", str(tmp_path / "short.npz"), "-o", str(tmp_path / "out")])

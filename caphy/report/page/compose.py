@@ -35,12 +35,13 @@ class Section:
     pictures: Sequence[Picture] = field(default_factory=tuple)
 
 
-def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, str]) -> str:
+def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, str], curves: Sequence[dict] = ()) -> str:
     """The page as text.
 
     Args:
         title: heading.
         sections: one per measurement.
+        curves: tables of tensile tests, as in ``compare.json``.
         facts: shown at the foot: model, versions, command.
 
     Raises:
@@ -60,10 +61,11 @@ def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, st
     environment.filters["mm"] = lambda value: (
         "–" if value is None else f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
     )
-    largest = max([s.figures["error"]["p95_mm"] or 0 for s in sections])
+    largest = max([s.figures["error"]["p95_mm"] or 0 for s in sections], default=1.0)
     return environment.get_template("compare.html.j2").render(
         title=title,
         sections=[_prepared(section) for section in sections],
+        curves=[_prepared_curves(table) for table in curves],
         facts=facts,
         style=(FOLDER / "page.css").read_text(encoding="utf-8"),
         script=(FOLDER / "viewer.js").read_text(encoding="utf-8"),
@@ -84,6 +86,14 @@ def _prepared(section: Section) -> dict:
             for p in section.pictures
         ],
     }
+
+
+def _prepared_curves(table: dict) -> dict:
+    groups: dict[str, list[dict]] = {}
+    for row in table["curves"]:
+        groups.setdefault(f"{row['fabric'].replace('_', ' ')}, {row['direction']}", []).append(row)
+    shown = [(name, plots.curve_plot(f"Force of {name}", rows)) for name, rows in groups.items()]
+    return {**table, "count": len(table["curves"]), "plots": shown}
 
 
 def _script_json(value: dict) -> str:

@@ -155,3 +155,32 @@ def lag_plot(rows: Sequence[dict], floor: Value) -> str:
     body += f'<path class="line line0" d="{_path([x(r["lag"]) for r in known], heights, [False] * len(known))}"/>'
     body += "".join(f'<circle class="dot" cx="{x(r["lag"]):.1f}" cy="{y(r["median_mm"]):.1f}" r="3"/>' for r in known)
     return _frame("Error after a restart", "frames since the restart", "mm (median)", body + _floor(y, floor))
+
+
+def curve_plot(title: str, rows: Sequence[dict]) -> str:
+    """Force per width [N/m] against axial strain: measured loadings (the first one dashed) and the model."""
+    right = max(row["largest_strain"] for row in rows)
+    high = 1.08 * max(row["largest_force_n_per_m"] for row in rows)
+    x, y = _scale(0, 100 * right, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
+    body = _y_axis(y, high) + _x_axis(x, 0, 100 * right)
+    for row in sorted(rows, key=lambda row: row["loading"]):
+        measured = row["measured"]
+        first = " first" if row["loading"] == 1 else ""
+        body += f'<path class="line line1{first}" d="{_curve(x, y, measured["axial"], measured["force"], high)}"/>'
+    said = max(rows, key=lambda row: row["largest_strain"])["model"]
+    body += f'<path class="line line0" d="{_curve(x, y, said["axial"], said["force"], high)}"/>'
+    body += f'<text class="legend line1" x="{LEFT + 60}" y="10">measured</text>'
+    body += f'<text class="legend line0" x="{LEFT + 140}" y="10">model</text>'
+    return _frame(title, "axial strain [%]", "N/m", body)
+
+
+def _curve(
+    x: Callable[[float], float],
+    y: Callable[[float], float],
+    strain: Sequence[float],
+    force: Sequence[float],
+    high: float,
+) -> str:
+    """A path that ends where it leaves the plot."""
+    heights: list[Value] = [y(f) if f <= high else None for f in force]
+    return _path([x(100 * s) for s in strain], heights, [False] * len(heights))

@@ -1,0 +1,152 @@
+"""Physics models in tensile tests: force per width of a strip that is pulled and free to narrow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.io.measurements import ForceCurve
+from caphy.measure.statistics import summary
+
+_SIDE = 0.1  # of the square that is pulled [m]; stresses do not depend on it
+_STEP = 1e-5  # of the finite difference of the energy in stretch
+_NARROW = np.linspace(0.05, 1.6, 156)  # transverse stretches that are tried before the search is refined
+_REFINED = 40  # golden-section steps
+STRAINS = 60
+"""Strains at which a model's curve is evaluated."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelCurve:
+    """What a model says of a strip.
+
+    axial, transverse: engineering strains (N,); force: per rest width [N/m], (N,).
+    """
+
+    axial: np.ndarray
+    transverse: np.ndarray
+    force: np.ndarray
+
+
+def model_curve(model: Model, axial: np.ndarray, direction: str) -> ModelCurve:
+    """Force per width and transverse strain of a model at axial strains (N,), pulled along "weft" or "warp".
+
+    The strip is uniform and free to narrow: the transverse stretch minimises the energy W, and by the envelope theorem
+    the force per width is dW/d(axial stretch) per rest area at that minimum.
+    """
+    energy = _strip_energy(model, direction)
+    stretch = 1 + np.asarray(axial, dtype=float)
+    narrow = _narrowest(energy, stretch)
+    force = (energy(stretch + _STEP, narrow) - energy(stretch - _STEP, narrow)) / (2 * _STEP)
+    return ModelCurve(np.asarray(axial, dtype=float), narrow - 1, force)
+
+
+def _strip_energy(model: Model, direction: str):
+    """Energy per rest area [J/m^2] of a square at axial and transverse stretches, (N,) each."""
+    flat = _SIDE * np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    rest = np.column_stack([flat, np.zeros(4)])
+    cloth = Cloth(rest, faces, flat[faces], model.density, np.zeros(4), np.zeros(4))
+    elastic = {name: v for name, v in model.effects.items() if name not in ("gravity", "inertia")}
+    potential = Potential(Model(model.density, elastic), cloth)
+
+    def energy(axial: np.ndarray, transverse: np.ndarray) -> np.ndarray:
+        weft, warp = (axial, transverse) if direction == "weft" else (transverse, axial)
+        scale = np.stack(np.broadcast_arrays(weft, warp, 0.0), -1)
+        x = torch.from_numpy(rest * scale[..., None, :])
+        parts = potential.energies(x).values()
+        return sum((part.numpy() for part in parts), np.zeros(scale.shape[:-1])) / _SIDE**2
+
+    return energy
+
+
+def _narrowest(energy, stretch: np.ndarray) -> np.ndarray:
+    """Transverse stretches (N,) of least energy: the best of a table, refined by golden sections."""
+    table = energy(stretch[:, None], _NARROW[None])
+    best = np.clip(table.argmin(axis=1), 1, len(_NARROW) - 2)
+    low, high, ratio = _NARROW[best - 1], _NARROW[best + 1], (np.sqrt(5) - 1) / 2
+    for _ in range(_REFINED):
+        left, right = high - ratio * (high - low), low + ratio * (high - low)
+        lower = energy(stretch, left) < energy(stretch, right)
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+    return 0.5 * (low + high)
+
+
+def compare_curve(model: Model, curve: ForceCurve) -> dict:
+    """Figures of one loading: errors of force at equal strain [N/m] and of transverse strain, by strain."""
+    top = float(curve.axial.max())
+    said = model_curve(model, np.linspace(0, max(top, 1e-3), STRAINS), curve.direction)
+    force = np.interp(curve.axial, said.axial, said.force)
+    across = np.interp(curve.axial, said.axial, said.transverse)
+    error, loaded = force - curve.force, curve.axial > 0
+    thirds = [
+        (loaded) & (curve.axial > a * top) & (curve.axial <= b * top)
+        for a, b in ((0, 1 / 3), (1 / 3, 2 / 3), (2 / 3, 1))
+    ]
+    strain_error = summary(1e-3 * np.abs(across - curve.transverse)[loaded])["median_mm"]
+    return {
+        "name": curve.name,
+        "fabric": curve.fabric,
+        "direction": curve.direction,
+        "loading": curve.loading,
+        "largest_strain": top,
+        "largest_force_n_per_m": float(curve.force.max()),
+        "rms_n_per_m": float(np.sqrt(np.mean(error[loaded] ** 2))),
+        "relative_error": float(np.sqrt(np.mean(error[loaded] ** 2) / np.mean(curve.force[loaded] ** 2))),
+        "mean_error_by_third_n_per_m": [float(error[part].mean()) if part.any() else None for part in thirds],
+        "transverse_strain_error": strain_error,
+        "model": {key: getattr(said, key).tolist() for key in ("axial", "transverse", "force")},
+        "measured": _thinned(curve),
+    }
+
+
+def _thinned(curve: ForceCurve, count: int = 120) -> dict[str, list]:
+    kept = np.unique(np.linspace(0, len(curve.axial) - 1, count).astype(int))
+    transverse = [None if np.isnan(t) else float(t) for t in curve.transverse[kept]]
+    return {"axial": curve.axial[kept].tolist(), "transverse": transverse, "force": curve.force[kept].tolist()}
+
+
+def compare_curves(model: Model, curves: list[ForceCurve], name: str, source: str) -> dict:
+    """Figures of all loadings in a table, ready for JSON."""
+    rows = [compare_curve(model, curve) for curve in curves]
+    return {"name": name, "source": source, "sentences": curve_sentences(rows), "curves": rows}
+
+
+def curve_sentences(rows: list[dict]) -> list[str]:
+    """What the curves of a table say of a model, only where the figures carry it."""
+    relative = np.median([row["relative_error"] for row in rows])
+    said = [f"The model's forces are {100 * relative:.0f} % off (median over {len(rows)} loadings, rms over each)."]
+    low = [r["mean_error_by_third_n_per_m"][0] for r in rows if None not in r["mean_error_by_third_n_per_m"]]
+    high = [r["mean_error_by_third_n_per_m"][2] for r in rows if None not in r["mean_error_by_third_n_per_m"]]
+    if low and np.mean(np.array(low) > 0) >= 0.8 and np.mean(np.array(high) < 0) >= 0.8:
+        said.append("It is too stiff at small and too soft at large strains: the cloth stiffens, the model does not.")
+    elif high and np.mean(np.array(high) > 0) >= 0.8:
+        said.append("It is too stiff at large strains in four of five loadings or more.")
+    elif high and np.mean(np.array(high) < 0) >= 0.8:
+        said.append("It is too soft at large strains in four of five loadings or more.")
+    return [*said, *_anisotropy(rows)]
+
+
+def _anisotropy(rows: list[dict]) -> list[str]:
+    """Fabrics whose strains at equal force differ between directions more than between loadings."""
+    strains: dict[str, dict[str, list[float]]] = {}
+    for row in rows:
+        force = 0.5 * min(r["largest_force_n_per_m"] for r in rows if r["fabric"] == row["fabric"])
+        measured = row["measured"]
+        strain = float(np.interp(force, np.maximum.accumulate(measured["force"]), measured["axial"]))
+        strains.setdefault(row["fabric"], {}).setdefault(row["direction"], []).append(strain)
+    both = {name: ways for name, ways in strains.items() if len(ways) == 2}
+    apart = [
+        name
+        for name, ways in both.items()
+        if min(ways["weft"]) > 1.1 * max(ways["warp"]) or min(ways["warp"]) > 1.1 * max(ways["weft"])
+    ]
+    if not apart:
+        return []
+    listed = ", ".join(name.replace("_", " ") for name in apart)
+    return [f"Weft and warp differ by more than loadings do in {len(apart)} of {len(both)} fabrics: {listed}."]

@@ -1,0 +1,39 @@
+"""Tensile tests of models against closed forms, and the real knits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from caphy.effects.model import Model
+from caphy.io.measurements import read_force_curves
+from caphy.measure.uniaxial import compare_curve, curve_sentences, model_curve
+
+
+def stvk(lame_lambda: float, lame_mu: float) -> Model:
+    values = {"lame_lambda": lame_lambda, "lame_mu": lame_mu}
+    return Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": values})
+
+
+@pytest.mark.parametrize("direction", ["weft", "warp"])
+def test_an_isotropic_sheet_follows_its_closed_form(direction):
+    """dW/dG across = 0 gives G_t = -lambda/(lambda + 2 mu) G_a, and force per width (1 + e) E_2d G_a."""
+    lam, mu = 20.0, 15.0
+    axial = np.linspace(0, 0.3, 7)
+    green = axial + 0.5 * axial**2
+    across = -lam / (lam + 2 * mu) * green
+    said = model_curve(stvk(lam, mu), axial, direction)
+    np.testing.assert_allclose(said.transverse, np.sqrt(1 + 2 * across) - 1, atol=1e-6)
+    modulus = 4 * mu * (lam + mu) / (lam + 2 * mu)
+    np.testing.assert_allclose(said.force, (1 + axial) * modulus * green, rtol=1e-5, atol=1e-6)
+
+
+def test_real_knits_stiffen_and_differ_between_directions(shared_data):
+    curves = read_force_curves(shared_data / "fabric_tests" / "knit_uniaxial.csv")
+    rows = [compare_curve(stvk(20.9, 11.1), curve) for curve in curves]
+    assert all(np.isfinite(row["rms_n_per_m"]) for row in rows)
+    assert "Weft and warp differ" in " ".join(curve_sentences(rows))
+    own = [row["measured"] for row in rows]
+    exact = compare_curve(stvk(20.9, 11.1), curves[0])
+    assert exact["relative_error"] > 0.1
+    assert len(own[0]["force"]) <= 120
