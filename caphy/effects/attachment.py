@@ -19,6 +19,7 @@ class Attachment(Effect):
 
     name = "attachment"
     element = "vertex"
+    group = "contact"
     parameters = {"stiffness": Parameter(1e6, "N/m^3", 0.0, 1e10, doc="spring stiffness per area of attached cloth")}
     reference = "elastic bedding of Winkler, Die Lehre von der Elasticitaet und Festigkeit, 1867"
     needs_body = True

@@ -20,7 +20,7 @@ number of frames.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
@@ -31,6 +31,9 @@ from torch import Tensor
 from caphy.effects.cloth import Cloth
 
 ElementKind = Literal["vertex", "edge", "face", "hinge"]
+
+Group = Literal["stiffness", "rest shape", "damping", "drag", "wind", "mass", "contact", "external", "other"]
+"""Families of effects; members of one family explain a measurement in similar ways."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,7 @@ class Step:
         target: where the vertices would be without any force, (..., V, 3) [m].
         lagged: positions of the last converged state, (..., V, 3) [m]; lagged coefficients are evaluated there.
         lagged_velocity: velocities of the last converged state, (..., V, 3) [m/s].
+        time: when the step ends [s], for what changes by the clock (gusts).
     """
 
     dt: float
@@ -73,11 +77,17 @@ class Step:
     target: Tensor
     lagged: Tensor
     lagged_velocity: Tensor
+    time: float = 0.0
 
     @classmethod
-    def implicit_euler(cls, dt: float, previous: Tensor, before: Tensor) -> Step:
+    def implicit_euler(cls, dt: float, previous: Tensor, before: Tensor, time: float = 0.0) -> Step:
         """The step of implicit Euler after positions ``before`` = x(t-2) and ``previous`` = x(t-1), (..., V, 3)."""
-        return cls(dt, previous, 2 * previous - before, previous, (previous - before) / dt)
+        return cls(dt, previous, 2 * previous - before, previous, (previous - before) / dt, time)
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> Step:
+        """This step with a function applied to each of its vertex fields."""
+        fields = (self.origin, self.target, self.lagged, self.lagged_velocity)
+        return Step(self.dt, *map(function, fields), time=self.time)
 
 
 @dataclass(frozen=True)
@@ -96,6 +106,10 @@ class BodyState:
     velocity: Tensor
     anchor: Tensor
 
+    def map(self, function: Callable[[Tensor], Tensor]) -> BodyState:
+        """This state with a function applied to each of its vertex fields."""
+        return BodyState(*map(function, (self.point, self.normal, self.velocity, self.anchor)))
+
 
 @dataclass(frozen=True)
 class Elements:
@@ -106,6 +120,7 @@ class Elements:
         rest: constants of each element, name -> (n,) or (..., n).
         dt: effective step [s]; None in statics.
         origin, target, lagged, lagged_velocity: as in :class:`Step`, each (k, 3, ..., n); None in statics.
+        time: when the step ends [s]; None in statics.
         body: as in :class:`BodyState`, name -> (3, ..., n); only for effects that read the body.
     """
 
@@ -116,6 +131,7 @@ class Elements:
     target: Tensor | None = None
     lagged: Tensor | None = None
     lagged_velocity: Tensor | None = None
+    time: float | None = None
     body: Mapping[str, Tensor] | None = None
 
     @property
@@ -138,21 +154,39 @@ class Effect:
         element: what one element is.
         parameters: name -> :class:`Parameter`.
         reference: paper and equation.
+        group: the family it belongs to.
+        coefficients: the parameters that leave exactly nothing of the effect when all are zero, so that it can be
+            tried as an addition to any model; unless said, those in which the energy is linear.
         internal: exerts no net force and no net torque.
         needs_step: acts only in motion (inertia, damping, friction); skipped in statics.
+        reads_step: acts in statics too, but reads the step where there is one (mass: inertia and weight).
         needs_body: reads :class:`BodyState`; skipped where there is no body.
         borrows: other effects whose parameters it reads too, as ``p["body_contact.stiffness"]``; the model must have
-            them.
+            them. Of a tuple of alternatives the model must have at least one, and those it has are lent.
     """
 
     name: ClassVar[str]
     element: ClassVar[ElementKind]
     parameters: ClassVar[Mapping[str, Parameter]] = {}
     reference: ClassVar[str]
+    group: ClassVar[Group] = "other"
+    coefficients: ClassVar[tuple[str, ...]] = ()
     internal: ClassVar[bool] = False
     needs_step: ClassVar[bool] = False
+    reads_step: ClassVar[bool] = False
     needs_body: ClassVar[bool] = False
-    borrows: ClassVar[tuple[str, ...]] = ()
+    borrows: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
+
+    def __init_subclass__(cls, **options) -> None:
+        super().__init_subclass__(**options)
+        if "parameters" in vars(cls) and "coefficients" not in vars(cls):
+            cls.coefficients = tuple(key for key, parameter in cls.parameters.items() if parameter.linear)
+
+    def lenders(self, present: Iterable[str]) -> tuple[str, ...] | None:
+        """Those of ``present`` effects whose parameters this one reads; None if it lacks one that it needs."""
+        names = set(present)
+        found = [[other for other in _alternatives(entry) if other in names] for entry in self.borrows]
+        return tuple(other for some in found for other in some) if all(found) else None
 
     def index(self, cloth: Cloth) -> np.ndarray:
         """Vertex indices of each element, (n, k). Override to act on some elements only (a waistband, a hem)."""
@@ -208,6 +242,20 @@ class Effect:
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         """:meth:`hessian` with the negative eigenvalues of each element clamped to zero."""
         return clamp_eigenvalues(self.hessian(e, p))
+
+
+def _alternatives(entry: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (entry,) if isinstance(entry, str) else entry
+
+
+def companions(effect: Effect) -> tuple[str, ...]:
+    """A choice of effects that a model must have beside this one: the first of each set of alternatives."""
+    return tuple(_alternatives(entry)[0] for entry in effect.borrows)
+
+
+def lent(p: Values, owner: str) -> Values:
+    """The parameters that another effect lends, under their own names; empty where the model lacks that effect."""
+    return {key.removeprefix(f"{owner}."): value for key, value in p.items() if key.startswith(f"{owner}.")}
 
 
 def gradient_jacobian(effect: Effect, e: Elements, p: Values) -> Tensor:

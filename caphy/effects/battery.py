@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import BodyState, Effect, Step
+from caphy.effects.base import BodyState, Effect, Step, companions
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model, ParameterValues
 from caphy.effects.potential import Potential
@@ -26,7 +26,7 @@ from caphy.errors import CaphyError
 
 def _potential(name: str, cloth: Cloth, dtype: torch.dtype = torch.float64, **values: Any) -> Potential:
     """The effect alone on a cloth, with what it borrows from left out of the sums."""
-    borrowed: dict[str, Any] = {other: {} for other in find_effect(name).borrows}
+    borrowed: dict[str, Any] = {other: {} for other in companions(find_effect(name))}
     model = Model(cloth.density, {**borrowed, name: values})
     potential = Potential(model, cloth, dtype)
     potential.terms = {name: potential.terms[name]}
@@ -116,8 +116,8 @@ def gradient_is_slope(name: str) -> None:
 
 
 def _repeated(at: Moment, count: int) -> tuple[Step, BodyState]:
-    fields = {k: v.expand(count, *v.shape) for k, v in vars(at.step).items() if k != "dt"}
-    return Step(at.step.dt, **fields), BodyState(**{k: v.expand(count, *v.shape) for k, v in vars(at.body).items()})
+    many = at.map(lambda field: field.expand(count, *field.shape))
+    return many.step, many.body
 
 
 def hessian_is_slope(name: str) -> None:
@@ -168,7 +168,7 @@ def _turned(at: Moment, rotation: Tensor, shift: Tensor) -> Moment:
     vectors = [x @ rotation.T for x in (step.lagged_velocity, body.normal, body.velocity)]
     return Moment(
         points[0],
-        Step(step.dt, points[1], points[2], points[3], vectors[0]),
+        Step(step.dt, points[1], points[2], points[3], vectors[0], step.time),
         BodyState(points[4], vectors[1], vectors[2], points[5]),
     )
 
@@ -252,6 +252,7 @@ def units_fit(name: str) -> None:
             length * step.target,
             length * step.lagged,
             speed * step.lagged_velocity,
+            time * step.time,
         ),
         BodyState(length * body.point, body.normal, speed * body.velocity, length * body.anchor),
     )
@@ -265,7 +266,7 @@ def units_fit(name: str) -> None:
     )
     potential = _potential(name, scaled_cloth)
     values = {key: torch.as_tensor(value) for key, value in scaled(effect).items()}
-    for owner in effect.borrows:
+    for owner in companions(effect):
         values |= {f"{owner}.{key}": torch.as_tensor(v) for key, v in scaled(find_effect(owner)).items()}
     term = replace(potential.terms[name], values=values)
     got = float(term.effect.energy(potential.elements(term, other.x, other.step, other.body), values).sum())
@@ -311,10 +312,44 @@ def parameters_matter(name: str) -> None:
             assert abs(low + high - 2 * middle) <= 1e-9 * abs(middle), f"{key} is called linear but is not"
 
 
+def parameter_slopes(name: str) -> None:
+    """The derivative of the gradient by each parameter against central differences."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth), _potential(name, cloth)
+    found = potential.parameter_gradients(at.x, at.step, at.body)
+    for key, parameter in find_effect(name).parameters.items():
+        default = np.asarray(parameter.default, dtype=float)
+        h = 1e-5 * max(float(np.abs(default).max()), 1e-12)
+        for entry in np.ndindex(default.shape):
+            forces = []
+            for sign in (1, -1):
+                value = default.copy()
+                value[entry] += sign * h
+                term = potential.terms[name]
+                moved = replace(term, values={**term.values, key: torch.as_tensor(value)})
+                elements = potential.elements(moved, at.x, at.step, at.body)
+                forces.append(moved.scatter(moved.effect.gradient(elements, moved.values)[1]).movedim(0, -1))
+            slope = (forces[0] - forces[1]) / (2 * h)
+            scale = max(float(found[f"{name}.{key}"].abs().max()), float(slope.abs().max()))
+            error = float((found[f"{name}.{key}"][entry] - slope).abs().max())
+            assert error <= 1e-5 * scale, f"slope by {key}{list(entry)}: off by {error:g} of {scale:g}"
+
+
+def zero_is_nothing(name: str) -> None:
+    """With all its coefficients zero the effect exerts exactly nothing."""
+    effect, cloth = find_effect(name), irregular_cloth()
+    if not effect.coefficients:
+        return
+    at = moment(cloth)
+    zeros = {key: np.zeros(np.shape(effect.parameters[key].default)) for key in effect.coefficients}
+    energy, gradient = _potential(name, cloth, **zeros).gradient(at.x, at.step, at.body)
+    assert float(energy) == 0 and float(gradient.abs().max()) == 0, f"still acts with {', '.join(zeros)} zero"
+
+
 def parameters_are_guarded(name: str) -> None:
     """Defaults lie within bounds, values outside are refused, and a saved model comes back the same."""
     effect = find_effect(name)
-    others = {other: {} for other in effect.borrows}
+    others = {other: {} for other in companions(effect)}
     model = Model(0.2, others | {name: {}})
     again = Model.from_json(model.to_json())
     for key, parameter in effect.parameters.items():
@@ -369,6 +404,8 @@ CHECKS: tuple[Callable[[str], None], ...] = (
     units_fit,
     refinement_converges,
     parameters_matter,
+    parameter_slopes,
+    zero_is_nothing,
     parameters_are_guarded,
     degenerate_is_finite,
     left_out_in_statics,

@@ -24,6 +24,7 @@ class Bending(Effect):
 
     name = "bending"
     element = "hinge"
+    group = "stiffness"
     parameters = {
         "stiffness_weft": Parameter(3.96e-5, "N m", 0.0, 1.0, doc="k where the weft threads bend"),
         "stiffness_warp": Parameter(3.96e-5, "N m", 0.0, 1.0, doc="k where the warp threads bend"),

@@ -27,6 +27,7 @@ class BendingMeasured(Effect):
 
     name = "bending_measured"
     element = "hinge"
+    group = "stiffness"
     parameters = {
         "bending": Parameter(
             tuple(map(tuple, fabric("gray-interlock").bending.tolist())),

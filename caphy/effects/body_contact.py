@@ -25,6 +25,7 @@ class BodyContact(Effect):
 
     name = "body_contact"
     element = "vertex"
+    group = "contact"
     parameters = {
         "stiffness": Parameter(1e8, "N/m^4", 0.0, 1e12, doc="pressure per squared depth, over three"),
         "distance": Parameter(

@@ -21,6 +21,7 @@ class BodyFriction(Effect):
 
     name = "body_friction"
     element = "vertex"
+    group = "contact"
     parameters = {
         "coefficient": Parameter(0.3, "1", 0.0, 5.0, doc="friction force over normal force"),
         "slip": Parameter(0.01, "m/s", 1e-5, 1.0, linear=False, doc="speed below which friction fades"),

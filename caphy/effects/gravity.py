@@ -17,6 +17,7 @@ class Gravity(Effect):
 
     name = "gravity"
     element = "vertex"
+    group = "external"
     parameters = {"acceleration": Parameter(GRAVITY, "m/s^2", -100.0, 100.0, doc="acceleration of free fall")}
     reference = "Santesteban, Otaduy, Casas, SNUG, CVPR 2022, eq. 8"
 

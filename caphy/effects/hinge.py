@@ -33,7 +33,9 @@ def dihedral(x: Tensor) -> Tensor:
     edge, wing = b - a, d - a
     normal_c, normal_d = cross(edge, c - a), cross(wing, edge)
     length = torch.sqrt(dot(edge, edge).clamp_min(torch.finfo(x.dtype).tiny))
-    return torch.atan2(-length * dot(normal_c, wing), dot(normal_c, normal_d))
+    sine, cosine = -length * dot(normal_c, wing), dot(normal_c, normal_d)
+    collapsed = (sine == 0) & (cosine == 0)
+    return torch.atan2(sine, torch.where(collapsed, torch.ones_like(cosine), cosine))
 
 
 def dihedral_gradient(x: Tensor, length: Tensor, area: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,6 +15,7 @@ class Inertia(Effect):
 
     name = "inertia"
     element = "vertex"
+    group = "mass"
     reference = "Martin et al., Example-based elastic materials, SIGGRAPH 2011, eq. 5; SNUG, CVPR 2022, eq. 9"
     needs_step = True
 

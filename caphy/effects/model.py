@@ -48,9 +48,10 @@ class Model:
             raise CaphyError(f"the area density must be positive [kg/m^2], got {self.density}")
         checked = {name: checked_values(name, values) for name, values in self.effects.items()}
         for name in checked:
-            missing = sorted(set(find_effect(name).borrows) - set(checked))
-            if missing:
-                raise CaphyError(f"{name} needs {missing[0]} in the same model; add it")
+            effect = find_effect(name)
+            if effect.lenders(checked) is None:
+                needs = " and ".join(e if isinstance(e, str) else " or ".join(e) for e in effect.borrows)
+                raise CaphyError(f"{name} needs {needs} in the same model; add it")
         object.__setattr__(self, "effects", checked)
 
     def with_effect(self, name: str, **values: object) -> Model:

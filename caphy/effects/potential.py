@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -85,7 +85,7 @@ class Potential:
 
         index = torch.as_tensor(effect.index(self.cloth), dtype=torch.int64)
         values = {key: tensor(value) for key, value in self.model.effects[name].items()}
-        for other in effect.borrows:
+        for other in effect.lenders(self.model.effects) or ():
             values |= {f"{other}.{key}": tensor(value) for key, value in self.model.effects[other].items()}
         rest = {key: tensor(value) for key, value in effect.rest(self.cloth).items()}
         incidence = _incidence(index, len(self.cloth.vertices))
@@ -98,13 +98,14 @@ class Potential:
             return term.gather(planes(field))
 
         moving = {}
-        if step is not None and term.effect.needs_step:
+        if step is not None and (term.effect.needs_step or term.effect.reads_step):
             moving = {
                 "dt": step.dt,
                 "origin": gathered(step.origin),
                 "target": gathered(step.target),
                 "lagged": gathered(step.lagged),
                 "lagged_velocity": gathered(step.lagged_velocity),
+                "time": step.time,
             }
         seen = None
         if body is not None and term.effect.needs_body:
@@ -145,6 +146,41 @@ class Potential:
             gradient += term.scatter(forces).movedim(0, -1)
         return energy, gradient
 
+    def term_gradients(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> dict[str, Tensor]:
+        """Gradient of each effect's energy [N], name -> (..., V, 3); they add up to :meth:`gradient`."""
+        self._check(x)
+        return {
+            name: term.scatter(term.effect.gradient(elements, term.values)[1]).movedim(0, -1)
+            for name, term, elements in self.acting(x.detach(), step, body)
+        }
+
+    def parameter_gradients(
+        self,
+        x: Tensor,
+        step: Step | None = None,
+        body: BodyState | None = None,
+        wanted: Collection[str] | None = None,
+    ) -> dict[str, Tensor]:
+        """Derivatives of the gradient with respect to parameters, "effect.parameter" -> (*parameter, ..., V, 3).
+
+        Where the energy is linear in a parameter this is the effect's gradient per unit of it. History and body are
+        held fixed; effects that borrow a parameter contribute to its derivative. Automatic differentiation of the
+        energies, so it holds for every effect.
+
+        Args:
+            x, step, body: the state, positions (..., V, 3) [m].
+            wanted: parameters to differentiate by; all unless given.
+        """
+        self._check(x)
+        totals: dict[str, Tensor] = {}
+        for name, term, elements in self.acting(x.detach(), step, body):
+            for key in term.values:
+                full = key if "." in key else f"{name}.{key}"
+                if wanted is None or full in wanted:
+                    mixed = _mixed_derivative(term, elements, key)
+                    totals[full] = totals[full] + mixed if full in totals else mixed
+        return totals
+
     def _check(self, x: Tensor) -> None:
         """Raises ValueError on positions of another cloth, precision or device."""
         shape = (len(self.cloth.vertices), 3)
@@ -160,6 +196,24 @@ class Potential:
         The history is detached by construction: implicit Euler minimises over the new positions alone.
         """
         return _Loss.apply(x, self, step, body)  # pyright: ignore[reportReturnType]
+
+
+def _mixed_derivative(term: Term, elements: Elements, key: str) -> Tensor:
+    """Second derivative of a term's energy by a parameter and the positions, (*parameter, ..., V, 3)."""
+    x = elements.x.detach().requires_grad_(True)
+    value = term.values[key].detach().clone().requires_grad_(True)
+    with torch.enable_grad():
+        energy = term.effect.energy(replace(elements, x=x), {**term.values, key: value}).sum()
+        (slope,) = torch.autograd.grad(energy, value, create_graph=True, materialize_grads=True)
+        rows = [_slope(entry, x) for entry in slope.reshape(-1)]
+    scattered = torch.stack([term.scatter(row).movedim(0, -1) for row in rows])
+    return scattered.reshape(*value.shape, *scattered.shape[1:])
+
+
+def _slope(value: Tensor, x: Tensor) -> Tensor:
+    if not value.requires_grad:
+        return torch.zeros_like(x)
+    return torch.autograd.grad(value, x, retain_graph=True, materialize_grads=True)[0]
 
 
 class _Loss(torch.autograd.Function):

@@ -49,6 +49,7 @@ class StrainMeasured(Effect):
 
     name = "strain_measured"
     element = "face"
+    group = "stiffness"
     parameters = {
         "stretching": Parameter(
             tuple(map(tuple, fabric("gray-interlock").stretching.tolist())),

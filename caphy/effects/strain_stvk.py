@@ -28,6 +28,7 @@ class StrainStVK(Effect):
 
     name = "strain_stvk"
     element = "face"
+    group = "stiffness"
     parameters = {
         "lame_lambda": Parameter(20.9, "N/m", 0.0, 1e5, doc="first Lame parameter of the sheet"),
         "lame_mu": Parameter(11.1, "N/m", 0.0, 1e5, doc="second Lame parameter (shear) of the sheet"),

@@ -42,7 +42,7 @@ class ImplicitEuler:
     def advance(self, state: State, dt: float, solve: Solve) -> State:
         """The state one step of ``dt`` seconds later."""
         time = state.time + dt
-        x = solve(Step(dt, state.x, state.x + dt * state.v, state.x, state.v), time)
+        x = solve(Step(dt, state.x, state.x + dt * state.v, state.x, state.v, time), time)
         return State(time, x, (x - state.x) / dt)
 
 
@@ -62,13 +62,14 @@ class SDIRK2:
         """The state one step of ``dt`` seconds later."""
         h, rest = self.gamma * dt, (1 - self.gamma) * dt
         middle_time = state.time + h
-        middle = solve(Step(h, state.x, state.x + h * state.v, state.x, state.v), middle_time)
+        middle = solve(Step(h, state.x, state.x + h * state.v, state.x, state.v, middle_time), middle_time)
         middle_velocity = (middle - state.x) / h
         acceleration = (middle_velocity - state.v) / h
         origin = state.x + rest * middle_velocity
         velocity = state.v + rest * acceleration
-        x = solve(Step(h, origin, origin + h * velocity, middle, middle_velocity), state.time + dt)
-        return State(state.time + dt, x, (x - origin) / h)
+        time = state.time + dt
+        x = solve(Step(h, origin, origin + h * velocity, middle, middle_velocity, time), time)
+        return State(time, x, (x - origin) / h)
 
 
 INTEGRATORS: dict[str, type[ImplicitEuler] | type[SDIRK2]] = {"implicit-euler": ImplicitEuler, "sdirk2": SDIRK2}

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from caphy.effects import potential as potential_module
+from caphy.effects.base import companions
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
@@ -88,9 +89,8 @@ def test_a_cuda_device_gives_the_same() -> None:
     at = moment(cloth, (2,)).to(torch.float32)
     here = Potential(snug_model(), cloth, torch.float32).gradient(at.x, at.step, at.body)
     there = Potential(snug_model(), cloth, torch.float32, "cuda")
-    step = type(at.step)(at.step.dt, *(v.cuda() for k, v in vars(at.step).items() if k != "dt"))
-    body = type(at.body)(*(v.cuda() for v in vars(at.body).values()))
-    for mine, theirs in zip(here, there.gradient(at.x.cuda(), step, body), strict=True):
+    at = at.map(lambda field: field.cuda())
+    for mine, theirs in zip(here, there.gradient(at.x, at.step, at.body), strict=True):
         torch.testing.assert_close(theirs.cpu(), mine, rtol=1e-4, atol=1e-6)
 
 
@@ -99,11 +99,10 @@ def test_nothing_is_made_on_another_device(name: str) -> None:
     """On the meta device, which computes shapes only, mixing in a tensor of the CPU raises."""
     cloth = irregular_cloth()
     at = moment(cloth, (2,)).to(torch.float32)
-    effects: dict[str, Any] = {other: {} for other in (*find_effect(name).borrows, name)}
+    effects: dict[str, Any] = {other: {} for other in (*companions(find_effect(name)), name)}
     potential = Potential(Model(0.2, effects), cloth, torch.float32, "meta")
-    step = type(at.step)(at.step.dt, *(v.to("meta") for k, v in vars(at.step).items() if k != "dt"))
-    body = type(at.body)(*(v.to("meta") for v in vars(at.body).values()))
-    x = at.x.to("meta")
+    at = at.map(lambda field: field.to("meta"))
+    x, step, body = at.x, at.step, at.body
     energy, gradient = potential.gradient(x, step, body)
     assert energy.is_meta and gradient.is_meta and gradient.shape == x.shape
     for _, term, elements in potential.acting(x, step, body):
