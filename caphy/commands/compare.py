@@ -147,7 +147,9 @@ def _with_avatar(command: Compare, bundle: AvatarBundle, measurement: Measuremen
 
     garment = matching_garment(measurement, bundle, command.garment)
     prediction = predict_with_avatar(measurement, bundle, garment)
-    return compare(prediction, measurement, np.array(garment.mesh.region_names)[garment.mesh.region])
+    names = np.array(garment.mesh.region_names)[garment.mesh.region]
+    own = measurement.regions if prediction.registered else None
+    return compare(prediction, measurement, names if own is None else own)
 
 
 class Progress:

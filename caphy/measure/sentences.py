@@ -114,7 +114,9 @@ def _cautions(figures: dict) -> list[str]:
         )
     if error["interval_mm"] is not None and error["interval_mm"][1] > 2 * error["interval_mm"][0]:
         low, high = error["interval_mm"]
-        said.append(f"Windows differ much: the median lies between {_mm(low)} and {_mm(high)} with 90 % confidence.")
+        said.append(
+            f"Parts of the motion differ much: the median lies between {_mm(low)} and {_mm(high)} with 90 % confidence."
+        )
     return said
 
 

@@ -15,6 +15,7 @@ from caphy.report.page.tracks import Track, pack
 
 FOLDER = Path(__file__).parent
 _PLOTTED_REGIONS = 12
+_PLOTS = 8  # in sight; the others are folded away
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +77,13 @@ def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, st
 
 def _prepared(section: Section) -> dict:
     figures, floor = section.figures, section.figures["floor"]["explained_mm"]
+    shown = _plots(figures, floor)
     return {
         "figures": figures,
         "scene": None if section.track is None else _script_json(pack(section.track)),
         "time_plot": _time_plot(figures, floor),
-        "plots": _plots(figures, floor),
+        "plots": shown[:_PLOTS],
+        "more_plots": shown[_PLOTS:],
         "pictures": [
             {"src": base64.b64encode(p.png).decode("ascii"), "caption": p.caption, "frame": p.frame}
             for p in section.pictures
@@ -104,7 +107,8 @@ def _script_json(value: dict) -> str:
 def _time_plot(figures: dict, floor: float | None) -> str:
     rows = figures["by_frame"]
     lines = {"median": rows["median_mm"], "95 %": rows["p95_mm"]}
-    return plots.time_plot(rows["frame"], lines, rows["window"], floor)
+    groups = rows["window"] if figures["prediction"]["restarted"] else [0] * len(rows["frame"])
+    return plots.time_plot(rows["frame"], lines, groups, floor)
 
 
 def _plots(figures: dict, floor: float | None) -> list[tuple[str, str]]:

@@ -18,7 +18,7 @@ def _ticks(low: float, high: float, about: int = 5) -> list[float]:
     raw = span / about
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(power * s for s in (1, 2, 5, 10) if power * s >= raw)
-    return [float(round(t, 10)) for t in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
+    return [float(round(t, 10)) + 0.0 for t in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
 
 
 def _scale(low: float, high: float, start: float, stop: float) -> Callable[[float], float]:

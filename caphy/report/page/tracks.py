@@ -55,7 +55,7 @@ def pack(track: Track) -> dict:
         "vertexCount": vertices.shape[1],
         "low": low.tolist(),
         "scale": scale,
-        "focus": [(vertices.min((0, 1)) + vertices.max((0, 1))).tolist(), float(np.ptp(vertices, axis=(0, 1)).max())],
+        "focus": _focus(vertices, body),
         "faces": _encode(track.faces.astype("<u4")),
         "model": _encode(_quantised(vertices, low, scale)),
         "fields": {name: _encode(_errors(values[rows])) for name, values in track.fields.items()},
@@ -71,6 +71,14 @@ def pack(track: Track) -> dict:
         scene |= {"body": _encode(_quantised(body, low, scale)), "bodyCount": body.shape[1]}
         scene["bodyFaces"] = _encode(track.body_faces.astype("<u4"))
     return scene
+
+
+def _focus(vertices: np.ndarray, body: np.ndarray | None) -> dict:
+    """What the camera looks at [m]: the whole motion of cloth on pins, or a body, which it follows."""
+    seen = vertices.reshape(1, -1, 3) if body is None else body
+    extent = np.linalg.norm(np.ptp(seen, axis=1), axis=-1).max() if body is not None else np.ptp(seen, axis=1).max()
+    centre = 0.5 * (seen[0].min(axis=0) + seen[0].max(axis=0))
+    return {"centre": centre.tolist(), "extent": float(0.8 * extent if body is not None else extent)}
 
 
 def _regions(track: Track) -> np.ndarray:

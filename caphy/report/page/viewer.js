@@ -192,13 +192,26 @@
         const [a, b] = [s.measuredOffsets[this.row], s.measuredOffsets[this.row + 1]];
         this.fill(this.buffers.measured, this.positions(this.measured, a, b), s.measuredMesh ? this.faces : null);
       }
-      if (this.body) this.fill(this.buffers.body, this.positions(this.body, this.row * s.bodyCount, (this.row + 1) * s.bodyCount), this.bodyFaces);
+      if (this.body) {
+        const body = this.positions(this.body, this.row * s.bodyCount, (this.row + 1) * s.bodyCount);
+        this.fill(this.buffers.body, body, this.bodyFaces); this.follow(body);
+      }
       const frame = s.frames[this.row];
       this.find("scrub").value = this.row;
       this.find("clock").textContent = `frame ${frame} · ${(frame / s.fps).toFixed(2)} s`;
       this.find("scrub").setAttribute("aria-valuetext", `frame ${frame}`);
       this.onframe?.(frame);
       this.draw();
+    }
+
+    // The camera keeps its place beside a body that walks.
+    follow(body) {
+      const mean = [0, 0, 0];
+      for (let i = 0; i < body.length; i++) mean[i % 3] += body[i] * 3 / body.length;
+      const before = this.followed || this.firstMean || mean;
+      this.firstMean ||= mean;
+      for (let i = 0; i < 3; i++) this.camera.target[i] += mean[i] - before[i];
+      this.followed = mean;
     }
 
     jump(frame) {
@@ -209,9 +222,10 @@
     }
 
     home() {
-      const [sum, extent] = this.scene.focus;
+      const { centre, extent } = this.scene.focus;
       const narrow = Math.min(1, this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1));
-      this.camera = { azimuth: 0.6, elevation: 0.22, distance: (0.1 + 1.45 * extent) / narrow, target: sum.map((v) => v / 2) };
+      this.camera = { azimuth: 0.6, elevation: 0.22, distance: (0.1 + 1.45 * extent) / narrow, target: [...centre] };
+      this.followed = null;
       this.legend();
     }
 
@@ -339,7 +353,7 @@
       canvas.addEventListener("keydown", (e) => { if (keys[e.key] && !e.ctrlKey && !e.metaKey) { e.preventDefault(); keys[e.key](); } });
       this.find("play").addEventListener("click", () => this.play(!this.playing));
       this.find("scrub").addEventListener("input", (e) => { this.play(false); this.show(+e.target.value); });
-      this.find("home").addEventListener("click", () => { this.home(); this.draw(); });
+      this.find("home").addEventListener("click", () => { this.home(); this.show(this.row); });
       this.find("field").addEventListener("change", () => { this.legend(); this.show(this.row); });
       this.find("scale").addEventListener("input", (e) => { if (+e.target.value > 0) { this.scale = +e.target.value; this.legend(); this.show(this.row); } });
       for (const name of ["model", "measured", "body"]) this.find("show-" + name).addEventListener("change", () => this.draw());
