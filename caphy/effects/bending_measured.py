@@ -48,15 +48,12 @@ class BendingMeasured(Effect):
         return {**hinge_rest(cloth), "first": share[..., 0], "second": share[..., 1]}
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        column = _column(e, dihedral(e.x) - e.rest["angle"])
-        return BEND_SPACING**2 * e.rest["area"] * _moments(column, stiffness_nodes(e.rest, p))[0]
+        return measured_moments(dihedral(e.x) - e.rest["angle"], e.rest, p)[0]
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        turn = angle - e.rest["angle"]
-        energy, stiffness, _ = _moments(_column(e, turn), stiffness_nodes(e.rest, p))
-        moment = stiffness * e.rest["length"] ** 2 / (4 * e.rest["area"]) * turn
-        return BEND_SPACING**2 * e.rest["area"] * energy, moment * slope
+        energy, moment = measured_moments(angle - e.rest["angle"], e.rest, p)
+        return energy, moment * slope
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
         return gradient_jacobian(self, e, p)
@@ -64,13 +61,19 @@ class BendingMeasured(Effect):
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         """Gauss-Newton: the curvature of the angle is left out, and a moment grows at least in proportion."""
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        _, secant, tangent = _moments(_column(e, angle - e.rest["angle"]), stiffness_nodes(e.rest, p))
+        _, secant, tangent = _moments(_column(angle - e.rest["angle"], e.rest), stiffness_nodes(e.rest, p))
         return outer(torch.maximum(tangent, secant) * e.rest["length"] ** 2 / (4 * e.rest["area"]) * slope, slope)
 
 
-def _column(e: Elements, turn: Tensor) -> Tensor:
+def measured_moments(turn: Tensor, rest: Mapping[str, Tensor], p: Values) -> tuple[Tensor, Tensor]:
+    """Energy (..., n) [J] of hinges turned from their rest angles (..., n) [rad], and its derivative [N m]."""
+    energy, stiffness, _ = _moments(_column(turn, rest), stiffness_nodes(rest, p))
+    return BEND_SPACING**2 * rest["area"] * energy, stiffness * rest["length"] ** 2 / (4 * rest["area"]) * turn
+
+
+def _column(turn: Tensor, rest: Mapping[str, Tensor]) -> Tensor:
     """Place (..., n) among the tabulated curvatures, in columns."""
-    return turn.abs() * (e.rest["length"] / (2 * BEND_SPACING * e.rest["area"]))
+    return turn.abs() * (rest["length"] / (2 * BEND_SPACING * rest["area"]))
 
 
 def stiffness_nodes(rest: Mapping[str, Tensor], p: Values) -> Tensor:

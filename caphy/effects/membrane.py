@@ -12,13 +12,13 @@ where w_i (2,) is the gradient of corner i's hat function [1/m]. Everything is w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import Elements
+from caphy.effects.base import Effect, Elements, Values, clamp_eigenvalues
 from caphy.effects.cloth import Cloth
 from caphy.effects.vectors import dot
 
@@ -98,3 +98,72 @@ def positive_part(stress: Symmetric) -> Symmetric:
     middle = 0.5 * (low + high)
     ratio = 0.5 * (high - low) / radius.clamp_min(torch.finfo(radius.dtype).tiny)
     return middle + ratio * half, middle - ratio * half, ratio * uv
+
+
+class Membrane(Effect):
+    """Base of faces whose energy per rest area is a function of the Green strain; subclasses define ``density``."""
+
+    element = "face"
+    internal = True
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        return membrane_rest(cloth)
+
+    def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
+        """Energy per rest area (..., n) [N/m] of Green strains uu, vv, uv (..., n)."""
+        raise NotImplementedError(f"{type(self).__name__} must define density(strain, e, p)")
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        return e.rest["area"] * self.density(Deformation.of(e).strain, e, p)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        deformation = Deformation.of(e)
+        density, stress, _ = self._differentiated(deformation.strain, e, p, order=1)
+        return e.rest["area"] * density, membrane_gradient(e, deformation, stress)
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        deformation = Deformation.of(e)
+        _, stress, tangent = self._differentiated(deformation.strain, e, p, order=2)
+        return membrane_hessian(e, deformation, stress, _entries(tangent))
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        """Compressive stress left out and the tangent's negative eigenvalues set to zero."""
+        deformation = Deformation.of(e)
+        _, stress, tangent = self._differentiated(deformation.strain, e, p, order=2)
+        tangent = clamp_eigenvalues(tangent[None, :, None])[0, :, 0]
+        return membrane_hessian(e, deformation, positive_part(stress), _entries(tangent))
+
+    def _differentiated(
+        self, strain: Symmetric, e: Elements, p: Values, order: int
+    ) -> tuple[Tensor, Symmetric, Tensor]:
+        """Density (..., n), stress and, for order 2, the tangent (3, 3, ..., n), in d / d(uu, vv, 2 uv)."""
+        with torch.enable_grad():
+            inputs = [part.detach().requires_grad_(True) for part in (strain[0], strain[1], 2 * strain[2])]
+            density = self.density((inputs[0], inputs[1], 0.5 * inputs[2]), e, p)
+            stress = torch.autograd.grad(density.sum(), inputs, create_graph=order > 1, materialize_grads=True)
+            tangent = density.new_empty(0)
+            if order > 1:
+                tangent = torch.stack([_row(part, inputs) for part in stress])
+        uu, vv, uv = (part.detach() for part in stress)
+        return density.detach(), (uu, vv, uv), tangent
+
+
+def _row(stress: Tensor, inputs: list[Tensor]) -> Tensor:
+    if not stress.requires_grad:
+        return torch.zeros_like(torch.stack(inputs))
+    return torch.stack(torch.autograd.grad(stress.sum(), inputs, retain_graph=True, materialize_grads=True))
+
+
+def _entries(tangent: Tensor) -> Tangent:
+    return tangent[0, 0], tangent[1, 1], tangent[2, 2], tangent[0, 1], tangent[0, 2], tangent[1, 2]
+
+
+def strain_of(e: Elements, x: Tensor) -> Symmetric:
+    """Green strain of face elements at other positions (3, 3, ..., n) [m], such as those of the history."""
+    return Deformation.of(replace(e, x=x)).strain
+
+
+def square(strain: Symmetric) -> Tensor:
+    """tr(G^2) (..., n)."""
+    uu, vv, uv = strain
+    return uu * uu + vv * vv + 2 * uv * uv

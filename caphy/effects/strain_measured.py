@@ -6,17 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import Effect, Elements, Parameter, Values, clamp_eigenvalues
-from caphy.effects.cloth import Cloth
-from caphy.effects.membrane import (
-    Deformation,
-    Symmetric,
-    Tangent,
-    membrane_gradient,
-    membrane_hessian,
-    membrane_rest,
-    positive_part,
-)
+from caphy.effects.base import Elements, Parameter, Values
+from caphy.effects.membrane import Membrane, Symmetric
 from caphy.material.fabrics import LOADED_TWICE, STRETCH_SAMPLED, fabric
 
 SMOOTHING = 0.003
@@ -30,7 +21,7 @@ _POLYNOMIAL = torch.as_tensor(np.linalg.inv(np.vander(_NODES, increasing=True)))
 """Coefficients (5, 5) of the polynomial in cos(2 angle) through values at 0, 22.5, 45, 67.5 and 90 degrees."""
 
 
-class StrainMeasured(Effect):
+class StrainMeasured(Membrane):
     """Orthotropic membrane with measured stiffness, E = A/2 (K0 Guu^2 + 2 K1 Guu Gvv + K2 Gvv^2 + 2 K3 Guv^2) [J].
 
     The measurement is a stress, S = k(G) G, with k from :func:`caphy.material.fabrics.stretching_stiffness`. With k
@@ -48,7 +39,6 @@ class StrainMeasured(Effect):
     """
 
     name = "strain_measured"
-    element = "face"
     group = "stiffness"
     parameters = {
         "stretching": Parameter(
@@ -61,30 +51,9 @@ class StrainMeasured(Effect):
         )
     }
     reference = "Wang, O'Brien, Ramamoorthi, Data-driven elastic models for cloth, SIGGRAPH 2011; CaPhy eq. 4-7"
-    internal = True
 
-    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
-        return membrane_rest(cloth)
-
-    def energy(self, e: Elements, p: Values) -> Tensor:
-        return e.rest["area"] * energy_density(Deformation.of(e).strain, p["stretching"])
-
-    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
-        deformation = Deformation.of(e)
-        density, stress, _ = _differentiated(deformation.strain, p["stretching"], order=1)
-        return e.rest["area"] * density, membrane_gradient(e, deformation, stress)
-
-    def hessian(self, e: Elements, p: Values) -> Tensor:
-        deformation = Deformation.of(e)
-        _, stress, tangent = _differentiated(deformation.strain, p["stretching"], order=2)
-        return membrane_hessian(e, deformation, stress, _entries(tangent))
-
-    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        """Compressive stress left out and the tangent's negative eigenvalues set to zero."""
-        deformation = Deformation.of(e)
-        _, stress, tangent = _differentiated(deformation.strain, p["stretching"], order=2)
-        tangent = clamp_eigenvalues(tangent[None, :, None])[0, :, 0]
-        return membrane_hessian(e, deformation, positive_part(stress), _entries(tangent))
+    def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
+        return energy_density(strain, p["stretching"])
 
 
 def energy_density(strain: Symmetric, table: Tensor) -> Tensor:
@@ -143,21 +112,3 @@ def _mean_weight(strain: Tensor) -> Tensor:
     d = _weight(strain) * STRETCH_SAMPLED
     within = d * (2 + d * (2.25 + 0.6 * d)) / (3 * STRETCH_SAMPLED * (1 + 0.5 * d) ** 2)
     return 1 - (LARGEST / strain.clamp_min(LARGEST)) ** 2 * (1 - within)
-
-
-def _differentiated(strain: Symmetric, table: Tensor, order: int) -> tuple[Tensor, Symmetric, Tensor]:
-    """Density (..., n), stress and, for order 2, the tangent (3, 3, ..., n), in d / d(uu, vv, 2 uv)."""
-    with torch.enable_grad():
-        inputs = [part.detach().requires_grad_(True) for part in (strain[0], strain[1], 2 * strain[2])]
-        density = energy_density((inputs[0], inputs[1], 0.5 * inputs[2]), table)
-        stress = torch.autograd.grad(density.sum(), inputs, create_graph=order > 1)
-        tangent = density.new_empty(0)
-        if order > 1:
-            rows = [torch.stack(torch.autograd.grad(part.sum(), inputs, retain_graph=True)) for part in stress]
-            tangent = torch.stack(rows)
-    uu, vv, uv = (part.detach() for part in stress)
-    return density.detach(), (uu, vv, uv), tangent
-
-
-def _entries(tangent: Tensor) -> Tangent:
-    return tangent[0, 0], tangent[1, 1], tangent[2, 2], tangent[0, 1], tangent[0, 2], tangent[1, 2]

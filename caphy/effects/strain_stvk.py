@@ -40,11 +40,11 @@ class StrainStVK(Effect):
         return membrane_rest(cloth)
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        return e.rest["area"] * _density(Deformation.of(e).strain, p)
+        return e.rest["area"] * stvk_density(Deformation.of(e).strain, p)
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         deformation = Deformation.of(e)
-        energy = e.rest["area"] * _density(deformation.strain, p)
+        energy = e.rest["area"] * stvk_density(deformation.strain, p)
         return energy, membrane_gradient(e, deformation, _stress(deformation.strain, p))
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
@@ -59,7 +59,8 @@ class StrainStVK(Effect):
         return membrane_hessian(e, deformation, stress, _tangent(stress[0], p))
 
 
-def _density(strain: Symmetric, p: Values) -> Tensor:
+def stvk_density(strain: Symmetric, p: Values) -> Tensor:
+    """Energy per rest area (..., n) [N/m] of Green strains uu, vv, uv (..., n)."""
     uu, vv, uv = strain
     trace = uu + vv
     return 0.5 * p["lame_lambda"] * trace * trace + p["lame_mu"] * (uu * uu + vv * vv + 2 * uv * uv)

@@ -33,3 +33,8 @@ def isotropic(stiffness: Tensor, x: Tensor) -> Tensor:
     """Hessians (1, 3, 1, 3, ..., n) of vertex springs of a stiffness (n,) [N/m] at positions (1, 3, ..., n)."""
     identity = torch.eye(3, dtype=x.dtype, device=x.device)
     return (identity.reshape(1, 3, 1, 3, *(1,) * (x.dim() - 2)) * stiffness).expand(1, 3, 1, *x.shape[1:])
+
+
+def uniform(vector: Tensor, like: Tensor) -> Tensor:
+    """A vector (3,) as a field that broadcasts with vector fields (3, ..., n)."""
+    return vector.reshape(3, *(1,) * (like.dim() - 1))

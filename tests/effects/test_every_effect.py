@@ -9,9 +9,20 @@ import pytest
 from caphy.effects.battery import CHECKS
 from caphy.effects.registry import registered_effects
 
+WORLD = {
+    "gust": "the wind blows in a direction of the world",
+    "wind_field": "the wind has a place and a direction in the world",
+    "wind_normal": "the wind blows in a direction of the world",
+    "wind_normal_quadratic": "the wind blows in a direction of the world",
+    "wind_tangential": "the wind blows in a direction of the world",
+    "wind_tangential_quadratic": "the wind blows in a direction of the world",
+    "gravity": "the world has an up",
+}
+RESHAPED = ("shrinkage", "shrinkage_directional")
 EXCEPTIONS = {
-    ("gravity", "same_in_every_frame"): "the world has an up",
+    **{(name, "rests_at_rest"): "it changes the shape that rests" for name in RESHAPED},
     ("bending_measured", "units_fit"): "its table is measured at fixed curvatures in 1/m",
+    **{(name, "same_in_every_frame"): reason for name, reason in WORLD.items()},
 }
 """Properties that an effect lacks for a reason; if it has one after all, the test fails."""
 

@@ -1,0 +1,36 @@
+"""Wind that comes and goes."""
+
+from __future__ import annotations
+
+from math import pi
+
+import torch
+from torch import Tensor
+
+from caphy.effects.air import Air
+from caphy.effects.base import Elements, Parameter, Values
+from caphy.effects.vectors import uniform
+
+
+class Gust(Air):
+    """A wind pressure that swings in time, E = -dt A (f(t).n) (v.n) [J] per face.
+
+    f(t) = a cos(2 pi nu t) + b sin(2 pi nu t) [Pa], the same everywhere, with t counted from the start of the motion.
+    Each axis has its own phase, so the wind may also turn. Steady wind and drag are wind_normal's. Training has no
+    clock: it sees the gust at t = 0.
+    """
+
+    name = "gust"
+    group = "wind"
+    power = 0
+    parameters = {
+        "cosine": Parameter((0.6, 0.0, 0.6), "Pa", -1e3, 1e3, doc="amplitude of the part in phase with the start"),
+        "sine": Parameter((0.6, 0.0, 0.6), "Pa", -1e3, 1e3, doc="amplitude of the part a quarter period later"),
+        "frequency": Parameter(1.0, "1/s", 0.01, 15.0, linear=False, doc="swings per second"),
+    }
+    reference = "Simiu, Scanlan, Wind effects on structures, 1996, chapter 2 (one harmonic of a gusty wind)"
+
+    def push(self, e: Elements, p: Values) -> Tensor:
+        assert e.time is not None
+        phase = 2 * pi * p["frequency"] * e.time
+        return uniform(p["cosine"] * torch.cos(phase) + p["sine"] * torch.sin(phase), e.x[0])
