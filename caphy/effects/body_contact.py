@@ -60,7 +60,11 @@ class BodyContact(Effect):
 
 
 def _depth(e: Elements, p: Values) -> Tensor:
+    return depth(e, p["distance"]).clamp_min(0)
+
+
+def depth(e: Elements, distance: Tensor) -> Tensor:
+    """How far vertices (..., n) lie below a distance from the body and their own layers [m]; negative above."""
     assert e.body is not None
     (x,) = e.x
-    height = dot(e.body["normal"], x - e.body["point"])
-    return (p["distance"] + e.rest["layer"] - height).clamp_min(0)
+    return distance + e.rest["layer"] - dot(e.body["normal"], x - e.body["point"])

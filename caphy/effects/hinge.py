@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from caphy.effects.base import Effect, Elements, Values, gradient_jacobian
 from caphy.effects.cloth import Cloth
-from caphy.effects.vectors import cross, dot
+from caphy.effects.vectors import cross, dot, outer
 
 COLLAPSED = 1e-3
 """Below this fraction of its rest size a triangle or edge counts as collapsed and its angle gradient stops growing."""
@@ -58,3 +59,51 @@ def dihedral_gradient(x: Tensor, length: Tensor, area: Tensor) -> tuple[Tensor, 
     inverse = 1 / torch.maximum(square, (COLLAPSED * length) ** 2)
     at_b = (dot(wing_c, edge) * inverse) * slope_c + (dot(wing_d, edge) * inverse) * slope_d
     return angle, torch.stack([at_b - slope_c - slope_d, -at_b, slope_c, slope_d])
+
+
+class Hinge(Effect):
+    """Base of hinges whose energy is a function of the dihedral angle; subclasses define ``bent``."""
+
+    element = "hinge"
+    internal = True
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        return hinge_rest(cloth)
+
+    def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
+        """Energy (..., n) [J] of hinges at dihedral angles (..., n) [rad]."""
+        raise NotImplementedError(f"{type(self).__name__} must define bent(angle, e, p)")
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        return self.bent(dihedral(e.x), e, p)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
+        energy, moment, _ = self._differentiated(angle, e, p)
+        return energy, moment * slope
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        return gradient_jacobian(self, e, p)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        """Gauss-Newton: the curvature of the angle itself is left out, and no hinge has a negative stiffness."""
+        angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
+        _, _, stiffness = self._differentiated(angle, e, p)
+        return outer(stiffness.clamp_min(0) * slope, slope)
+
+    def _differentiated(self, angle: Tensor, e: Elements, p: Values) -> tuple[Tensor, Tensor, Tensor]:
+        """Energy, moment [N m] and stiffness [N m] (..., n); the moment stays differentiable if the angle is."""
+        with torch.enable_grad():
+            turned = angle if angle.requires_grad else angle.detach().requires_grad_(True)
+            energy = self.bent(turned, e, p)
+            moment = _derivative(energy, turned)
+            stiffness = _derivative(moment, turned)
+        if angle.requires_grad:
+            return energy, moment, stiffness
+        return energy.detach(), moment.detach(), stiffness.detach()
+
+
+def _derivative(value: Tensor, angle: Tensor) -> Tensor:
+    if not value.requires_grad:
+        return torch.zeros_like(angle)
+    return torch.autograd.grad(value.sum(), angle, create_graph=True, materialize_grads=True)[0]

@@ -1,0 +1,33 @@
+"""Damping in proportion to mass."""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from caphy.effects.base import Effect, Elements, Parameter, Values
+from caphy.effects.cloth import Cloth
+from caphy.effects.vectors import dot
+
+
+class MassDamping(Effect):
+    """Resistance to all motion in proportion to mass, E = dt c m / 2 |v|^2 [J] per vertex.
+
+    Free motion decays at the rate c, the same for every mode; falling cloth ends at g / c. It stands for air that
+    resists all directions alike, measured from still air.
+    """
+
+    name = "mass_damping"
+    element = "vertex"
+    group = "damping"
+    parameters = {"rate": Parameter(1.0, "1/s", 0.0, 1e3, doc="rate at which velocities decay")}
+    reference = "Rayleigh, The theory of sound, 1877, section 81 (the mass-proportional part of his damping)"
+    needs_step = True
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        return {"mass": cloth.mass}
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        assert e.dt is not None
+        (velocity,) = e.velocity
+        return 0.5 * e.dt * p["rate"] * e.rest["mass"] * dot(velocity, velocity)

@@ -1,0 +1,32 @@
+"""A uniform acceleration besides gravity: a tilted floor or camera, a carriage that speeds up."""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from caphy.effects.base import Effect, Elements, Parameter, Values
+from caphy.effects.cloth import Cloth
+from caphy.effects.vectors import dot, uniform
+
+
+class UniformAcceleration(Effect):
+    """A force in proportion to mass, the same everywhere, E = -m a.x [J] per vertex.
+
+    Gravity seen through axes tilted by an angle is an acceleration of g sin(angle) sideways; the default is 3 degrees.
+    """
+
+    name = "uniform_acceleration"
+    element = "vertex"
+    group = "external"
+    parameters = {
+        "acceleration": Parameter((0.5, 0.0, 0.5), "m/s^2", -100.0, 100.0, doc="acceleration added to gravity")
+    }
+    reference = "d'Alembert, Traite de dynamique, 1743"
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        return {"mass": cloth.mass}
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        (x,) = e.x
+        return -e.rest["mass"] * dot(uniform(p["acceleration"], x), x)
