@@ -24,6 +24,8 @@ BAND_NAMES = {"neck": "collar", "hem": "hem", "cuff": "cuff", "armhole": "armhol
 
 def dress(family: Family, marks: Landmarks, cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
     """Complete a mesh (V, 3), (F, 3) of ``cut``."""
+    if "waist" in cut.openings:
+        vertices = draw_in(vertices, marks, cut.openings["waist"](vertices))
     vertices = keep_clear(vertices, faces, marks)
     distance = {name: field(vertices) for name, field in cut.openings.items()}
     regions = name_regions(marks, vertices, distance)
@@ -45,6 +47,18 @@ def dress(family: Family, marks: Landmarks, cut: Cut, vertices: np.ndarray, face
         provenance={k: str(v) for k, v in asdict(family).items()}
         | {"family": family.family, "metric": "3-D rest template"},
     )
+
+
+def draw_in(vertices: np.ndarray, marks: Landmarks, below: np.ndarray, gap: float = 0.008) -> np.ndarray:
+    """Lay a waistband on the body: vertices (V, 3) that hang farther out than ``gap`` [m] move in to it.
+
+    A cut hangs straight over the hollow of the back and of the flanks; a waistband is held there, and one that stands
+    off pokes through whatever is worn over it. ``below`` (V,) [m] is the distance from the waist's edge; the pull ends
+    8 cm below.
+    """
+    near = Surface.of(marks.body.faces, marks.vertices).nearest(vertices, marks.vertices)
+    pull = (1.0 - smooth_step(below, 0.03, 0.08)) * np.maximum(near.distance - gap, 0.0)
+    return vertices - pull[:, None] * near.normal
 
 
 def keep_clear(vertices: np.ndarray, faces: np.ndarray, marks: Landmarks, least: float = 0.003) -> np.ndarray:
