@@ -24,6 +24,10 @@ PROCEDURAL = tuple(range(12))
 """Seeds of the motions trained on where none are given; the last two are held out."""
 
 
+MADE_UP = 100
+"""First seed of the motions of --made-up."""
+
+
 @dataclass(frozen=True)
 class Train:
     """Train a garment network on motions with physics losses.
@@ -36,6 +40,8 @@ class Train:
     """Pose files, or folders of them; without any, motions are made from seeds."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of this training."""
+    made_up: int = 0
+    """Motions of 20 s made from seeds to train on besides the files: arms go where few recordings have them."""
     held_out: tuple[Path, ...] = ()
     """Pose files or folders to validate on; without any, every sixth clip."""
     body: Path | None = None
@@ -87,6 +93,8 @@ def main(arguments: list[str]) -> int | None:
 def _check(options: Train) -> None:
     if options.fabric and options.model:
         raise CaphyError("give either --fabric or --model, not both")
+    if options.made_up < 0:
+        raise CaphyError(f"--made-up must not be negative, got {options.made_up}")
     for name in ("minutes", "steps"):
         value = getattr(options, name)
         if value is not None and value <= 0:
@@ -148,16 +156,16 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
     from caphy.io.procedural import procedural_motion
     from caphy.training.motions import find_poses
 
-    given = find_poses(options.poses)
-    clips = given or [procedural_motion(seed, 20.0, FPS) for seed in PROCEDURAL]
+    clips = find_poses(options.poses) or [procedural_motion(seed, 20.0, FPS) for seed in PROCEDURAL]
+    extra = [procedural_motion(seed, 20.0, FPS) for seed in range(MADE_UP, MADE_UP + options.made_up)]
     if options.held_out:
         unseen = find_poses(options.held_out)
         names = {clip.source for clip in unseen}
-        return [clip for clip in clips if clip.source not in names], unseen
+        return [clip for clip in clips if clip.source not in names] + extra, unseen
     if len(clips) == 1:
         cut = max(1, int(0.8 * len(clips[0])))
-        return [clips[0][:cut]], [clips[0][cut:] if cut < len(clips[0]) else clips[0]]
-    return [clip for i, clip in enumerate(clips) if i % 6 != 5], clips[5::6] or clips[-1:]
+        return [clips[0][:cut], *extra], [clips[0][cut:] if cut < len(clips[0]) else clips[0]]
+    return [clip for i, clip in enumerate(clips) if i % 6 != 5] + extra, clips[5::6] or clips[-1:]
 
 
 def _record(options: Train, garment, model: Model, trained: list[PoseSequence], held_out: list[PoseSequence]) -> None:
