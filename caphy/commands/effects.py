@@ -1,17 +1,18 @@
-"""``caphy effects list|show|check``."""
+"""``caphy effects list|show|check|new``."""
 
 from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import numpy as np
 import tyro
 
-from caphy.effects.base import Effect
+from caphy.effects.base import Effect, Group, needs
 from caphy.effects.registry import find_effect, register_file, registered_effects
+from caphy.effects.scaffold import write_scaffold
 
 EffectFiles = tuple[Path, ...]
 
@@ -46,6 +47,18 @@ class Check:
     """Your own effects, as Python files."""
 
 
+@dataclass(frozen=True)
+class New:
+    """Begin an effect of your own: a Python file that works, for you to put your energy in."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """Its name, like my_effect."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The file to write; NAME.py here if not given."""
+    effect_file: EffectFiles = ()
+    """Your other effects, as Python files."""
+
+
 def main(arguments: list[str]) -> int:
     """Run ``caphy effects`` with the arguments after it."""
     command = tyro.cli(
@@ -53,6 +66,7 @@ def main(arguments: list[str]) -> int:
             Annotated[List, tyro.conf.subcommand("list")]
             | Annotated[Show, tyro.conf.subcommand("show")]
             | Annotated[Check, tyro.conf.subcommand("check")]
+            | Annotated[New, tyro.conf.subcommand("new")]
         ],
         args=arguments,
         prog="caphy effects",
@@ -67,6 +81,10 @@ def main(arguments: list[str]) -> int:
             print("\n\n".join(_description(find_effect(name)) for name in command.names))
         case Check():
             return _check(command.names or tuple(own) or tuple(registered_effects()))
+        case New(name, output):
+            path = output or Path(f"{name}.py")
+            write_scaffold(name, path)
+            print(f"wrote {path}; edit it, then: caphy effects check --effect-file {path}")
     return 0
 
 
@@ -77,12 +95,13 @@ def _table(rows: list[tuple[str, ...]]) -> None:
 
 
 def _effect_rows() -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [("effect", "element", "acts", "parameters", "what it is")]
-    for name, effect in registered_effects().items():
+    rows: list[tuple[str, ...]] = [("group", "effect", "element", "acts", "parameters", "what it is")]
+    groups = get_args(Group)
+    for name, effect in sorted(registered_effects().items(), key=lambda item: (groups.index(item[1].group), item[0])):
         acts = "in motion" if effect.needs_step else "always"
         summary = inspect.getdoc(inspect.getmodule(effect)) or inspect.getdoc(effect) or "-"
         parameters = ", ".join(f"{key} [{parameter.unit}]" for key, parameter in effect.parameters.items())
-        rows.append((name, effect.element, acts, parameters or "-", summary.splitlines()[0]))
+        rows.append((effect.group, name, effect.element, acts, parameters or "-", summary.splitlines()[0]))
     return rows
 
 
@@ -100,18 +119,20 @@ def _fabric_rows() -> list[tuple[str, ...]]:
 
 
 def _description(effect: Effect) -> str:
-    lines = [f"{effect.name} (per {effect.element})", "", inspect.getdoc(effect) or ""]
+    lines = [f"{effect.name} ({effect.group}, per {effect.element})", "", inspect.getdoc(effect) or ""]
     if effect.parameters:
         lines += ["", "Parameters"]
     for key, parameter in effect.parameters.items():
         bounds = f"in [{parameter.lower:g}, {parameter.upper:g}]"
+        kind = "; the energy is linear in it" * parameter.linear
         default = str(np.asarray(parameter.default).tolist())
-        lines.append(f"  {key} [{parameter.unit}] {bounds}: {parameter.doc}; default {default}")
+        lines.append(f"  {key} [{parameter.unit}] {bounds}: {parameter.doc}; default {default}{kind}")
     traits = [
         "internal: no net force or torque" * effect.internal,
         "acts only in motion" * effect.needs_step,
         "acts only on a body" * effect.needs_body,
-        f"needs {', '.join(effect.borrows)}" * bool(effect.borrows),
+        f"needs {needs(effect)}" * bool(effect.borrows),
+        f"does nothing where zero: {', '.join(effect.coefficients)}" * bool(effect.coefficients),
     ]
     lines += ["", *filter(None, traits), f"Reference: {effect.reference}"]
     return "\n".join(lines)

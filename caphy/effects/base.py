@@ -253,6 +253,11 @@ def companions(effect: Effect) -> tuple[str, ...]:
     return tuple(_alternatives(entry)[0] for entry in effect.borrows)
 
 
+def needs(effect: Effect) -> str:
+    """What a model must have beside an effect, in words."""
+    return " and ".join(" or ".join(_alternatives(entry)) for entry in effect.borrows)
+
+
 def lent(p: Values, owner: str) -> Values:
     """The parameters that another effect lends, under their own names; empty where the model lacks that effect."""
     return {key.removeprefix(f"{owner}."): value for key, value in p.items() if key.startswith(f"{owner}.")}

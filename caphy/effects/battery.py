@@ -341,7 +341,7 @@ def zero_is_nothing(name: str) -> None:
     if not effect.coefficients:
         return
     at = moment(cloth)
-    zeros = {key: np.zeros(np.shape(effect.parameters[key].default)) for key in effect.coefficients}
+    zeros: dict[str, Any] = {key: np.zeros(np.shape(effect.parameters[key].default)) for key in effect.coefficients}
     energy, gradient = _potential(name, cloth, **zeros).gradient(at.x, at.step, at.body)
     assert float(energy) == 0 and float(gradient.abs().max()) == 0, f"still acts with {', '.join(zeros)} zero"
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from caphy.effects.base import needs
 from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 
@@ -50,8 +51,7 @@ class Model:
         for name in checked:
             effect = find_effect(name)
             if effect.lenders(checked) is None:
-                needs = " and ".join(e if isinstance(e, str) else " or ".join(e) for e in effect.borrows)
-                raise CaphyError(f"{name} needs {needs} in the same model; add it")
+                raise CaphyError(f"{name} needs {needs(effect)} in the same model; add it")
         object.__setattr__(self, "effects", checked)
 
     def with_effect(self, name: str, **values: object) -> Model:

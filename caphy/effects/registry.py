@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import get_args
 
 import caphy.effects
-from caphy.effects.base import Effect, ElementKind
+from caphy.effects.base import Effect, ElementKind, Group
 from caphy.errors import CaphyError
 
 _from_files: dict[str, type[Effect]] = {}
@@ -62,6 +62,8 @@ def _check(effect: type[Effect], path: Path) -> None:
         raise CaphyError(f"{where}: there already is an effect {effect.name!r}; give yours another name")
     if getattr(effect, "element", None) not in get_args(ElementKind):
         raise CaphyError(f"{where}: element must be one of {', '.join(get_args(ElementKind))}")
+    if effect.group not in get_args(Group):
+        raise CaphyError(f"{where}: group must be one of {', '.join(get_args(Group))}")
     if not isinstance(getattr(effect, "reference", None), str):
         raise CaphyError(f"{where}: reference must say where the effect comes from")
     if effect.energy is Effect.energy:
