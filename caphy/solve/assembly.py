@@ -34,9 +34,7 @@ class Hessian:
         stored = np.unique(np.concatenate([own, *(key[key >= 0] for key in keys.values())]))
         row, column = np.divmod(stored, diagonal)
         self._size = len(stored)
-        self._slots = {
-            name: np.where(key < 0, self._size, np.searchsorted(stored, key)) for name, key in keys.items()
-        }
+        self._slots = {name: np.where(key < 0, self._size, np.searchsorted(stored, key)) for name, key in keys.items()}
         self._diagonal = np.searchsorted(stored, own).reshape(-1, 3)[rank]
         held = np.zeros(count, bool) if fixed is None else fixed
         held = np.repeat(held[np.argsort(rank)], 3)

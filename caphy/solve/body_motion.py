@@ -20,6 +20,9 @@ from caphy.rotations import axis_angle_from_quaternion, matrix_from_axis_angle, 
 REACH = 0.05
 """Distance from the body beyond which a first guess ignores it [m]."""
 
+CLEAR = 0.004
+"""Distance from the body at which a first guess leaves cloth alone [m]."""
+
 _REMEMBERED = 16  # posed bodies kept; a step asks for a few times, again and again
 
 
@@ -95,15 +98,19 @@ class BodyMotion:
         """A guess (V, 3) [m] of where cloth will be at time ``stop`` [s].
 
         Cloth that touches the body at time ``start`` in positions x (V, 3) moves along with its limb; cloth farther
-        away than :data:`REACH` goes where it would fly freely, ``free`` (V, 3); in between it does a bit of both.
+        away than :data:`REACH` goes where it would fly freely, ``free`` (V, 3); in between it does a bit of both. What
+        would come nearer to the body than it was is put back to its distance.
         """
         before, after = self.transforms(np.array([start, stop]))
         turned = np.abs(np.linalg.det(before[..., :3])) > 0.1  # skinning collapses where joints fold up
         inverse = np.linalg.inv(np.where(turned[:, None, None], before[..., :3], np.eye(3)))
         rest = (inverse @ (x - before[..., 3])[..., None])[..., 0]
         along = np.where(turned[:, None], skin(after, rest), x + skin(after - before, self.garment.vertices))
-        near = np.clip(1 - np.abs(self.nearest(start, x).distance) / REACH, 0, 1)[:, None]
-        return near * along + (1 - near) * free
+        distance = self.nearest(start, x).distance
+        near = np.clip(1 - np.abs(distance) / REACH, 0, 1)[:, None]
+        guess = near * along + (1 - near) * free
+        found = self.nearest(stop, guess)
+        return guess + np.clip(np.minimum(distance, CLEAR) - found.distance, 0, None)[:, None] * found.normal
 
     def nearest(self, time: float, x: np.ndarray) -> NearestPoints:
         """Nearest points of the body surface at a time [s] for positions x (V, 3) [m]."""

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg import get_blas_funcs, get_lapack_funcs
 from scipy.sparse import csr_array
 
 from caphy.solve.ordering import Separator
+
+dsyrk, dtrsm = get_blas_funcs(("syrk", "trsm"), dtype=np.float64)
+(dpotrf,) = get_lapack_funcs(("potrf",), dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -180,9 +180,11 @@ class Newton:
         Exact where it is positive definite (as at a proper minimum), projected otherwise or if asked for.
         """
         state = None if body is None else body(x)
-        factor = None if projected else self.hessian.factorize(self.hessian.values(x, step, state, projection=0))
-        values = None if factor is not None else self.hessian.values(x, step, state)
-        return factor if values is None else self._damped(values, 0.0)[0]
+        if not projected:
+            factor = self.hessian.factorize(self.hessian.values(x, step, state, projection=0))
+            if factor is not None:
+                return factor
+        return self._damped(self.hessian.values(x, step, state), 0.0)[0]
 
     def _evaluate(self, x: Tensor, step: Step | None, state: BodyState | None) -> _Point:
         energy, gradient = self.potential.gradient(x, step, state)

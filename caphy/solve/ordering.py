@@ -46,7 +46,7 @@ def _cut(pattern: csr_array, positions: np.ndarray, vertices: np.ndarray) -> tup
         return vertices, []
     graph = pattern[vertices][:, vertices]
     centred = positions[vertices] - positions[vertices].mean(0)
-    axes = np.linalg.svd(centred, full_matrices=False)[2]
+    axes = np.linalg.eigh(centred.T @ centred).eigenvectors.T
     middle = min((_boundary(graph, centred @ axis) for axis in axes), key=np.count_nonzero)
     rest = np.flatnonzero(~middle)
     if len(rest) == 0:
@@ -69,7 +69,8 @@ def _balanced(label: np.ndarray) -> list[np.ndarray]:
     """Connected components dealt to two groups of nearly equal size; empty groups are left out."""
     sizes = np.bincount(label)
     group, weight = np.zeros(len(sizes), int), [0, 0]
-    for component in np.argsort(-sizes):
-        group[component] = int(weight[1] < weight[0])
-        weight[group[component]] += sizes[component]
+    for component in np.argsort(-sizes).tolist():
+        side = int(weight[1] < weight[0])
+        group[component] = side
+        weight[side] += int(sizes[component])
     return [half for half in (np.flatnonzero(group[label] == side) for side in (0, 1)) if len(half)]

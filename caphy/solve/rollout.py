@@ -78,7 +78,7 @@ class Simulator:
         integrator: Integrator | None = None,
         pins: Callable[[float], Tensor] | None = None,
     ) -> None:
-        """``pins`` gives the positions (P, 3) [m] of the solver's fixed vertices at a time [s]; without it they rest."""
+        """``pins`` gives the positions (P, 3) [m] of fixed vertices at a time [s]; without it they rest."""
         self.newton, self.motion, self.pins = newton, motion, pins
         self.integrator = SDIRK2() if integrator is None else integrator
         self._pinned = None if newton.fixed is None else torch.from_numpy(np.flatnonzero(newton.fixed))

@@ -49,8 +49,10 @@ def equilateral_strip() -> Callable[..., Cloth]:
         a, b, c, d = (np.concatenate([faces[: len(faces) // 2], faces[len(faces) // 2 :, 2:]], 1)).T
         turn = odd[a][:, None] == 1  # the short diagonal leans the other way in every other row
         faces = np.concatenate(
-            [np.where(turn, np.stack([a, b, c], 1), np.stack([a, b, d], 1))]
-            + [np.where(turn, np.stack([a, c, d], 1), np.stack([b, c, d], 1))]
+            [
+                np.where(turn, np.stack([a, b, c], 1), np.stack([a, b, d], 1)),
+                np.where(turn, np.stack([a, c, d], 1), np.stack([b, c, d], 1)),
+            ]
         )
         zeros = np.zeros(len(flat))
         return Cloth(np.column_stack([flat, zeros]), faces, flat[faces], DENSITY, zeros, zeros)

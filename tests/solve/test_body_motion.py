@@ -28,7 +28,9 @@ def sliding(turn=0.0, speed=0.6, frames=7, fps=30.0):
 
 
 def potential_of(garment, **effects):
-    model = Model(DENSITY, {"strain_stvk": {}, "bending": {}, "gravity": {}, "inertia": {}, "body_contact": {}, **effects})
+    model = Model(
+        DENSITY, {"strain_stvk": {}, "bending": {}, "gravity": {}, "inertia": {}, "body_contact": {}, **effects}
+    )
     return Potential(model, Cloth.of(garment, DENSITY))
 
 
@@ -36,7 +38,7 @@ def test_state_of_a_sliding_box(box_body, mat):
     motion = BodyMotion(box_body, sliding(), mat)
     time = 3.4 / 30
     x = motion.anchors(np.array([time]))[0]
-    np.testing.assert_allclose(x, mat.vertices + [0.6 * time, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(x, mat.vertices + np.array([0.6 * time, 0, 0]), atol=1e-12)
     state = motion.state(time, x, 1 / 30)
     np.testing.assert_allclose(state.normal, np.broadcast_to([0, 1, 0], x.shape), atol=1e-9)
     np.testing.assert_allclose(state.velocity, np.broadcast_to([0.6, 0, 0], x.shape), atol=1e-9)
@@ -84,7 +86,7 @@ def test_cloth_rests_where_contact_carries_its_weight(box_body, mat):
 def test_dropped_cloth_stays_on_top(box_body, mat):
     """A fall at 10 m/s, a third of a metre per frame, onto a box 0.4 m thick: no tunnelling, no explosion."""
     motion = BodyMotion(box_body, sliding(speed=0.0, frames=12), mat)
-    x = torch.from_numpy(mat.vertices + [0, 0.3, 0])
+    x = torch.from_numpy(mat.vertices + np.array([0, 0.3, 0]))
     start = State(0.0, x, torch.tensor([0.0, -10.0, 0.0], dtype=torch.float64).expand_as(x))
     trajectory = simulate(potential_of(mat), motion, start)
     assert trajectory.converged.all()

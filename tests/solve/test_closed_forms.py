@@ -77,9 +77,7 @@ def test_axial_frequency_of_a_strip(sheet):
     mu, length, columns = 10.0, 1.0, 11
     cloth = sheet(length, 0.1, columns, 3)
     y = cloth.vertices[:, 1]
-    newton = solver(
-        cloth, {"strain_stvk": {"lame_lambda": 0.0, "lame_mu": mu}, "inertia": {}}, y == 0, tolerance=1e-9
-    )
+    newton = solver(cloth, {"strain_stvk": {"lame_lambda": 0.0, "lame_mu": mu}, "inertia": {}}, y == 0, tolerance=1e-9)
     wave = np.pi / (2 * length)
     omega = 2 / (length / 10) * np.sin(wave * length / 20) * np.sqrt(2 * mu / DENSITY)
     shape = 1e-4 * np.sin(wave * y)

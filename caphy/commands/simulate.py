@@ -1,0 +1,136 @@
+"""``caphy simulate GARMENT POSES -o out.npz``: the reference solver's motion of a garment on a moving body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from caphy.errors import CaphyError
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Move a garment with the reference solver: converged physics, for truth and for comparison with a network."""
+
+    garment: Annotated[str, tyro.conf.Positional]
+    """A garment npz, or "tshirt" or "trousers" for the bundled ones."""
+    poses: Annotated[Path, tyro.conf.Positional]
+    """A pose file that 'caphy poses info' can read."""
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("trajectory.npz")
+    """The npz to write: positions and velocities of every frame."""
+    body: str = "medium"
+    """The body the garment was made on: an SMPL-X-format npz, or "medium" for the bundled one."""
+    fabric: str | None = None
+    """A measured fabric, as listed by 'caphy effects list --fabrics'. Without it: SNUG's cotton."""
+    model: Path | None = None
+    """A physics model as JSON, instead of a fabric."""
+    integrator: Literal["sdirk2", "implicit-euler"] = "sdirk2"
+    """sdirk2 is second order; implicit-euler is what networks are trained with, and damps."""
+    substeps: int = 1
+    """Time steps per frame."""
+    fps: float = 30.0
+    """Frames per second to simulate at."""
+    seconds: float | None = None
+    """How much of the motion to simulate; all of it unless given."""
+    render: Path | None = None
+    """A contact sheet (PNG) to write as well."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy simulate`` with the arguments after it."""
+    command = tyro.cli(Simulate, args=arguments, prog="caphy simulate")
+    if command.substeps < 1:
+        raise CaphyError(f"--substeps must be at least 1, got {command.substeps}")
+    if command.fabric is not None and command.model is not None:
+        raise CaphyError("--fabric and --model exclude each other; give one of them")
+    _simulate(command)
+
+
+def _simulate(command: Simulate) -> None:
+    from tqdm import tqdm
+
+    from caphy.commands.body import load_body
+    from caphy.effects.cloth import Cloth
+    from caphy.effects.potential import Potential
+    from caphy.io.poses import read_poses
+    from caphy.solve.body_motion import BodyMotion
+    from caphy.solve.integrators import find_integrator
+    from caphy.solve.rollout import simulate
+
+    garment, model, body = _garment(command.garment), _model(command), load_body(command.body)
+    poses = read_poses(command.poses).resample(command.fps)
+    if command.seconds is not None:
+        poses = poses[: round(command.seconds * command.fps) + 1]
+    motion = BodyMotion(body, poses, garment)
+    potential = Potential(model, Cloth.of(garment, model.density))
+    print(f"{garment.name}: {len(garment.vertices)} vertices, {len(poses)} frames at {poses.fps:g} fps; dressing ...")
+    with tqdm(total=len(poses), unit="frame") as bar:
+        trajectory = simulate(
+            potential,
+            motion,
+            integrator=find_integrator(command.integrator),
+            substeps=command.substeps,
+            progress=lambda done, total: _show(bar, done),
+        )
+    trajectory.save(command.out)
+    _report(command, trajectory, motion)
+    if command.render is not None:
+        print(_sheet(command.render, trajectory, motion))
+    else:
+        print(f"next: look at it with 'caphy simulate {command.garment} {command.poses} --render sheet.png'")
+
+
+def _show(bar, done: int) -> None:
+    bar.update(done - bar.n)
+
+
+def _garment(name: str):
+    from caphy.garment.template import Garment
+
+    bundled = Path(__file__).parents[1] / "data" / "garments" / f"{name}.npz"
+    return Garment.load(bundled if bundled.is_file() else name)
+
+
+def _model(command: Simulate):
+    from caphy.effects.model import Model
+    from caphy.effects.presets import fabric_model, snug_model
+
+    if command.model is not None:
+        return Model.load(command.model)
+    return snug_model() if command.fabric is None else fabric_model(command.fabric)
+
+
+def _report(command: Simulate, trajectory, motion) -> None:
+    """Print how the solver fared and how deep cloth lies in the body."""
+    distances = np.stack(
+        [motion.nearest(time, x).distance for time, x in zip(motion.times, trajectory.positions, strict=True)]
+    )
+    frames = trajectory.converged
+    print(f"{command.out}: {len(trajectory)} frames, {command.out.stat().st_size / 1e6:.1f} MB")
+    print(
+        f"converged: {frames.sum()} of {len(frames)} frames; largest force left {trajectory.residual.max():.1e} N; "
+        f"{np.median(trajectory.iterations[1:] if len(frames) > 1 else [0]):.0f} Newton iterations per frame"
+    )
+    if not frames.all():
+        worst = int(trajectory.residual.argmax())
+        print(f"the worst frame is {worst} ({trajectory.residual[worst]:.1e} N); more --substeps make it easier")
+    print(f"deeper than 1 mm in the body: {100 * (distances < -1e-3).mean():.2f} % of vertices and frames")
+
+
+def _sheet(path: Path, trajectory, motion) -> Path:
+    from caphy.report.camera import Camera
+    from caphy.report.render import CLOTH, Shape, contact_sheet, render, write_png
+
+    images, labels = [], []
+    for frame in np.linspace(0, len(trajectory) - 1, 8).round().astype(int):
+        (skin,) = motion.vertices(motion.times[frame : frame + 1])
+        cloth = trajectory.positions[frame]
+        camera = Camera.framing(np.concatenate([skin, cloth]), azimuth=30.0)
+        shapes = [Shape(skin, motion.body.faces), Shape(cloth, motion.garment.faces, CLOTH[0])]
+        images.append(render(shapes, camera, (360, 360), shadows=True))
+        labels.append(f"{motion.times[frame]:.2f} s")
+    return write_png(contact_sheet(images, 4, labels), path)
