@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from conftest import swaying
+from small_world import swaying
 
 from caphy.body.bundled import default_body
 from caphy.body.kinematics import joint_positions, joint_transforms

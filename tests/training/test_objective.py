@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from conftest import swaying, tube
+from small_world import swaying, tube
 
 from caphy.body.bundled import default_body
 from caphy.body.kinematics import joint_transforms

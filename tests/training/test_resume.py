@@ -14,7 +14,7 @@ import pytest
 import torch
 import torch.distributed as dist
 import torch.multiprocessing as mp
-from conftest import small_trainer
+from small_world import small_trainer
 
 from caphy.errors import CaphyError
 from caphy.network.files import load_network, save_network
@@ -27,7 +27,7 @@ RUN = """
 import sys, torch
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from conftest import small_trainer
+from small_world import small_trainer
 torch.set_num_threads(1)
 trainer = small_trainer(Path(sys.argv[1]), steps=40)
 if sys.argv[2] == "resume":

@@ -1,0 +1,74 @@
+"""``caphy train`` from its arguments to the files it leaves."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from caphy.cli import main
+from caphy.io.poses import write_poses
+from caphy.network.files import load_network
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "training"))
+from small_world import swaying, tube
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> Path:
+    tube().save(tmp_path / "tube.npz")
+    (tmp_path / "motions").mkdir()
+    for seed in range(2):
+        write_poses(swaying(30, seed), tmp_path / "motions" / f"{seed}.npz")
+    write_poses(swaying(20, 5), tmp_path / "unseen.npz")
+    return tmp_path
+
+
+def train(folder: Path, *more: str) -> int:
+    return main(
+        ["train", str(folder / "tube.npz"), str(folder / "motions"), "-o", str(folder / "run"), "--steps", "2"]
+        + ["--held-out", str(folder / "unseen.npz"), *more]
+    )
+
+
+def test_trains_and_says_what_it_wrote(inputs, capsys):
+    assert train(inputs) == 0
+    said = capsys.readouterr().out
+    assert "360 frames of 2 clips" in said or "clips" in said
+    assert f"caphy export {inputs / 'run'}" in said
+    run = inputs / "run"
+    assert load_network(run / "network.safetensors").fps == 30
+    record = json.loads((run / "run.json").read_text())
+    assert record["held_out"] == ["unseen.npz"] and record["trained_on"] == ["0.npz", "1.npz"]
+    last = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
+    assert last["step"] == 2 and last["validation"]["deeper_than_1mm_percent"] >= 0
+    assert train(inputs) == 2
+    assert "--resume" in capsys.readouterr().err
+    assert train(inputs, "--resume") == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--fabric", "gray-interlock", "--model", "m.json"], "not both"),
+        (["--steps", "0"], "--steps must be positive"),
+        (["--minutes", "-1"], "--minutes must be positive"),
+        (["--held-out", "nowhere.npz"], "nowhere.npz"),
+        (["--fabric", "silk-of-spiders"], "silk-of-spiders"),
+        (["--resume"], "checkpoint.safetensors"),
+    ],
+)
+def test_mistakes_are_explained(inputs, capsys, arguments, message):
+    assert train(inputs, *arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_without_cuda_says_so(inputs, capsys):
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("this machine has CUDA")
+    assert train(inputs, "--device", "cuda") == 2
+    assert "--device cpu" in capsys.readouterr().err

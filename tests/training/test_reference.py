@@ -1,0 +1,60 @@
+"""Over-trained on one short clip the network moves as the solver does."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from small_world import swaying, tube
+
+from caphy.body.bundled import default_body
+from caphy.effects.cloth import Cloth
+from caphy.effects.potential import Potential
+from caphy.effects.presets import snug_model
+from caphy.network.garment_network import GarmentNetwork
+from caphy.training.learner import Learner, offset_basis, stiffness
+from caphy.training.motions import Motions
+from caphy.training.objective import Objective
+from caphy.training.reference import compare_with_solver
+from caphy.training.validate import clip_windows, standing, static_drape, stream_drift
+
+FRAMES, STEPS, RATE = 8, 900, 1e-2
+
+
+def test_overtrained_network_moves_as_the_solver():
+    torch.manual_seed(0)
+    garment, body, clip = tube(), default_body(), swaying(FRAMES)
+    model = snug_model()
+    potential = Potential(model, Cloth.of(garment, model.density))
+    network = GarmentNetwork(garment.vertices, garment.weights, body.joints, layers=2, width=64)
+    motions = Motions.of([clip], body, network.driving, 30.0)
+    quick = Potential(model, potential.cloth, torch.float32)
+    objective = Objective(quick, body, network.template, network.weights, 30.0)
+    learner = Learner(network, offset_basis(stiffness(potential, 30.0)))
+    optimizer = torch.optim.Adam(learner.parameters())
+    windows = clip_windows(1, FRAMES, True)
+    features, hidden = windows.features(motions), torch.zeros(2, 1, 64)
+    before = compare_with_solver(network, potential, body, garment, clip)
+    for step in range(STEPS):
+        optimizer.param_groups[0]["lr"] = RATE * (0.505 + 0.495 * math.cos(math.pi * step / STEPS))
+        offsets, _ = learner(features, hidden)
+        loss, _ = objective(motions, windows, offsets, standing(network.template))
+        optimizer.zero_grad()
+        loss.mean().backward()
+        optimizer.step()
+    learner.fold(network)
+    after = compare_with_solver(network, potential, body, garment, clip)
+    assert np.median(after.correction) < 0.15 * np.median(before.correction)
+    assert 0.995 < after.summary()["share_of_solver_s_decrease"] < 1.005
+
+
+def test_a_stream_does_not_drift_and_a_held_pose_settles():
+    torch.manual_seed(0)
+    garment, body = tube(), default_body()
+    network = GarmentNetwork(garment.vertices, garment.weights, body.joints, layers=2, width=16)
+    torch.nn.init.normal_(network.head.weight, std=0.01)
+    poses, transl = (torch.tensor(np.array(a), dtype=torch.float32) for a in (swaying(30).poses, swaying(30).transl))
+    assert stream_drift(network, poses, transl, frames=300) < 1e-4
+    early, late = (static_drape(network, poses[7], transl[7], frames) for frames in (300, 600))
+    torch.testing.assert_close(early, late, rtol=0, atol=1e-5)
