@@ -32,10 +32,8 @@ def candidates(model: Model, on_body: bool = True) -> tuple[str, ...]:
 def switched_off(name: str) -> dict[str, np.ndarray]:
     """Parameters with which an effect exerts nothing: coefficients zero, everything else as by default."""
     effect = find_effect(name)
-    return {
-        key: np.asarray(parameter.default, dtype=float) * (key not in effect.coefficients)
-        for key, parameter in effect.parameters.items()
-    }
+    defaults = {key: np.array(parameter.default, dtype=float) for key, parameter in effect.parameters.items()}
+    return defaults | {key: np.zeros_like(defaults[key]) for key in effect.coefficients}
 
 
 def with_candidates(model: Model, names: Iterable[str] | None = None) -> Model:

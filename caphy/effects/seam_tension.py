@@ -8,21 +8,22 @@ from torch import Tensor
 from caphy.effects.base import Effect, Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
 from caphy.effects.seams import per_loop, seams
-from caphy.effects.vectors import norm
+from caphy.effects.vectors import dot
 
 
 class SeamTension(Effect):
-    """Constant tension along the openings, E = T |x_a - x_b| [J] per edge.
+    """Tension along the openings, E = T / (2 l) |x_a - x_b|^2 [J] per edge of rest length l.
 
-    Values are for the four lowest openings, lowest first, as in heavy_hem. With seam_stiffness k it is an elastic
-    band whose rest length is (1 - T / k) of the opening's.
+    It is the pull of elastic stretched to many times its own length: T at the opening's rest length and less in
+    proportion as the opening is drawn together, smooth down to nothing. Values are for the four lowest openings,
+    lowest first, as in heavy_hem. With seam_stiffness k the two are a band that rests at k / (k + T) of the opening.
     """
 
     name = "seam_tension"
     element = "edge"
     group = "rest shape"
-    parameters = {"tension": Parameter((0.5, 0.0, 0.0, 0.0), "N", 0.0, 1e4, doc="force, lowest opening first")}
-    reference = "Hooke, De potentia restitutiva, 1678, to zeroth order in the stretch"
+    parameters = {"tension": Parameter((0.1, 0.0, 0.0, 0.0), "N", 0.0, 1e4, doc="force at rest length, lowest first")}
+    reference = "Hooke, De potentia restitutiva, 1678"
     internal = True
 
     def index(self, cloth: Cloth) -> np.ndarray:
@@ -30,7 +31,8 @@ class SeamTension(Effect):
 
     def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
         _, number, length = seams(cloth)
-        return {"on": per_loop(number, np.ones_like(length))}
+        return {"share": per_loop(number, 1 / length)}
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        return (p["tension"] @ e.rest["on"]) * norm(e.x[1] - e.x[0])
+        edge = e.x[1] - e.x[0]
+        return 0.5 * (p["tension"] @ e.rest["share"]) * dot(edge, edge)

@@ -37,7 +37,10 @@ def nothing_registered(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_list_names_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["effects", "list"]) == 0
     printed = capsys.readouterr().out
-    assert all(f"\n{name} " in printed for name in registered_effects())
+    rows = printed.splitlines()[1:]
+    assert {row.split("  ")[0]: 0 for row in rows}.keys() == {effect.group for effect in registered_effects().values()}
+    for name, effect in registered_effects().items():
+        assert any(row.startswith(effect.group) and f" {name} " in row for row in rows)
 
 
 def test_list_names_every_fabric(capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,7 +59,7 @@ def test_show_gives_formula_parameters_and_source(capsys: pytest.CaptureFixture[
 
 def test_show_of_an_unknown_effect_names_the_known(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["effects", "show", "bendin"]) == 2
-    assert "known: air_drag_normal" in capsys.readouterr().err
+    assert "known: added_mass, air_drag_normal" in capsys.readouterr().err
 
 
 def test_check_passes_a_good_effect(capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,3 +75,44 @@ def test_check_finds_what_is_wrong_with_a_users_file(tmp_path: Path, capsys: pyt
     for check in ("documented", "gradient is slope", "units fit", "same in every frame"):
         assert f"wrong  {check}: FAILED" in printed
     assert "wrong  finite: ok" in printed and "Traceback" not in printed
+
+
+def test_show_says_what_an_addition_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["effects", "show", "shrinkage"]) == 0
+    printed = capsys.readouterr().out
+    assert "needs strain_stvk or strain_measured" in printed and "does nothing where zero: fraction" in printed
+
+
+def test_a_new_effect_works_as_it_is_begun(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "sticky_air.py"
+    assert main(["effects", "new", "sticky_air", "-o", str(path)]) == 0
+    assert f"caphy effects check --effect-file {path}" in capsys.readouterr().out
+    assert main(["effects", "check", "--effect-file", str(path)]) == 0
+    assert "sticky_air  gradient is slope: ok" in capsys.readouterr().out
+    assert [file.name for file in tmp_path.iterdir()] == ["sticky_air.py"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("gravity", "there already is an effect 'gravity'"),
+        ("Sticky", "lower case"),
+        ("lambda", "lower case"),
+        ("two words", "lower case"),
+    ],
+)
+def test_a_new_effect_needs_a_name_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, message: str
+) -> None:
+    assert main(["effects", "new", name, "-o", str(tmp_path / "effect.py")]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_new_effect_overwrites_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text("mine")
+    assert main(["effects", "new", "mine", "-o", str(path)]) == 2
+    assert "exists already" in capsys.readouterr().err and path.read_text() == "mine"
+    assert main(["effects", "new", "mine", "-o", str(tmp_path / "nowhere" / "mine.py")]) == 2
+    assert "cannot be written" in capsys.readouterr().err

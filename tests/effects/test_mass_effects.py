@@ -128,6 +128,13 @@ def test_a_stretched_seam_pulls_by_its_stretch() -> None:
     assert float(force[inner].abs().max()) == 0
 
 
+def test_stiffness_and_tension_are_a_band_of_its_rest_length() -> None:
+    cloth, k, tension = flat_cloth(), 20.0, 5.0
+    x = torch.as_tensor(cloth.vertices) * k / (k + tension)
+    band: Any = {"seam_stiffness": {"stiffness": (k, 0, 0, 0)}, "seam_tension": {"tension": (tension, 0, 0, 0)}}
+    assert float(gradient(cloth, x, **band).abs().max()) < 1e-13
+
+
 def test_a_cloth_without_openings_has_no_seams() -> None:
     vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
