@@ -43,7 +43,7 @@ def find_poses(paths: Iterable[Path]) -> list[PoseSequence]:
         if not inside:
             raise CaphyError(f"{path}: holds no pose file ({', '.join(POSE_SUFFIXES)})")
         files += inside
-    return [part for file in files for part in continuous_parts(read_poses(file))]
+    return [part for file in files for part in continuous_parts(replace(read_poses(file), source=str(file)))]
 
 
 def continuous_parts(sequence: PoseSequence, least: float = 0.5) -> list[PoseSequence]:
