@@ -21,10 +21,18 @@ bench: $(VENV)/.dev            ## latency, HTTP, training and solver figures, as
 	$(BIN)/python -m benchmarks
 
 MOCAP ?= cmu_mocap
-avatar: $(VENV)/.dev           ## train the bundled default avatar again: make avatar MOCAP=folder-of-CMU-clips
-	$(BIN)/caphy train caphy/data/garments/tshirt.npz $(MOCAP) -o runs/tshirt
-	$(BIN)/caphy train caphy/data/garments/trousers.npz $(MOCAP) -o runs/trousers
-	$(BIN)/caphy export runs/tshirt runs/trousers -o caphy/data/avatars/default
+UNSEEN = $(MOCAP)/bvh/131_01.bvh $(wildcard $(MOCAP)/bvh_from_expmap/test_*.bvh)
+WEAR   = $(BIN)/caphy train caphy/data/garments/$(1).npz $(MOCAP)/bvh $(MOCAP)/bvh_from_expmap \
+	--held-out $(UNSEEN) --made-up 12 --minutes 34 -o runs/$(1)
+avatar: $(VENV)/.dev           ## train the bundled default avatar again: make -j2 avatar MOCAP=folder-of-CMU-clips
+	$(MAKE) runs/trousers runs/tshirt
+	$(BIN)/caphy validate runs/trousers --seconds 0.25
+	$(BIN)/caphy validate runs/tshirt --seconds 0.25
+	$(BIN)/caphy export runs/trousers runs/tshirt -o caphy/data/avatars/default
+
+runs/%: export OMP_NUM_THREADS = 1
+runs/%:                        # one core for each garment
+	$(call WEAR,$*)
 
 $(VENV)/.python:
 	$(PYTHON) -m venv $(VENV)

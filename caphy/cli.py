@@ -14,6 +14,7 @@ COMMANDS = {
     "effects": "list and show the physical effects",
     "simulate": "drape or move a garment with the reference solver",
     "train": "train a garment network with physics losses",
+    "validate": "hold a trained network against the reference solver",
     "compare": "compare a model with measurements: metrics, and a page to look at",
     "export": "write an avatar bundle: one ONNX graph per garment",
     "serve": "serve avatars over HTTP",

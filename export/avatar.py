@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from caphy.body.model import BodyModel
 from caphy.garment.template import Garment
+from caphy.garment.topology import boundary_loops
 from caphy.io.bundle import AvatarBundle, BundledGarment, SkinnedMesh
 from caphy.io.poses import PoseSequence
 from caphy.network.garment_network import GarmentNetwork
+from caphy.report.render import vertex_normals
 from export.garment_graph import garment_graph
 from export.head import hidden_states, smallest_head, with_head
 from export.parity import check_parity
@@ -52,6 +56,27 @@ def body_mesh(body: BodyModel, betas: np.ndarray | None = None) -> tuple[Skinned
     return SkinnedMesh.from_dense(vertices, body.faces, weights / weights.sum(axis=1, keepdims=True)), joints
 
 
+def tucked_in(
+    vertices: np.ndarray, faces: np.ndarray, worn: Sequence[tuple[np.ndarray, np.ndarray]], depth: float = 0.008
+) -> np.ndarray:
+    """Body vertices (B, 3) [m] drawn in by up to ``depth`` [m] where a garment covers them in the T-pose.
+
+    What nobody sees need not be where skin is: a body to display that lies a little deeper does not show through cloth
+    that touches it, whose faces are flat where skin is round. The pull fades towards the garments' edges. ``worn``
+    holds vertices (V, 3) and faces (F, 3) of each garment.
+    """
+    normals, pull = vertex_normals(vertices, faces), np.zeros(len(vertices))
+    for cloth, cloth_faces in worn:
+        _, nearest = KDTree(cloth).query(vertices)
+        away = cloth[nearest] - vertices
+        distance = np.linalg.norm(away, axis=1)
+        edge = np.unique(np.concatenate(boundary_loops(cloth_faces)))
+        covered = (distance < 0.08) & ((away * normals).sum(1) > 0.3 * distance) & ~np.isin(nearest, edge)
+        inside = np.clip((KDTree(cloth[edge]).query(vertices)[0] - 0.01) / 0.03, 0, 1)
+        pull = np.maximum(pull, covered * inside * inside * (3 - 2 * inside))
+    return (vertices - depth * pull[:, None] * normals).astype(vertices.dtype)
+
+
 def avatar_bundle(
     name: str,
     body: BodyModel,
@@ -64,6 +89,8 @@ def avatar_bundle(
 ) -> AvatarBundle:
     """A body and its garments, each with its metrics."""
     mesh, joints = body_mesh(body, betas)
+    worn = [(garment.mesh.vertices, garment.mesh.faces) for garment, _ in garments]
+    mesh = replace(mesh, vertices=tucked_in(mesh.vertices, mesh.faces, worn))
     return AvatarBundle(
         name=name,
         fps=fps,

@@ -39,6 +39,13 @@ class OnnxGraph:
         """An initializer; reals become float32, integers int64."""
         array = np.asarray(array)
         array = array.astype(np.float32 if array.dtype.kind == "f" else np.int64)
+        return self._stored(array)
+
+    def half(self, array: np.ndarray) -> str:
+        """A float32 value stored as float16; the runtime widens it once, when it loads the graph."""
+        return self.node("Cast", self._stored(np.asarray(array, dtype=np.float16)), to=TensorProto.FLOAT)
+
+    def _stored(self, array: np.ndarray) -> str:
         name = f"c{len(self._constants)}"
         self._constants.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
         return name

@@ -21,11 +21,12 @@ GARMENT = "garment.npz"
 SETTINGS = "run.json"
 MODEL = "model.json"
 METRICS = "metrics.jsonl"
+VALIDATION = "validation.json"
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A trained network, its garment, how it was trained, and the last validation on held-out clips.
+    """A trained network, its garment, how it was trained, and what was measured on held-out clips.
 
     betas: body shape (S,) that it was trained on, or none. held_out: pose files that it did not see, as far as they
     still exist.
@@ -58,15 +59,18 @@ def read_run(folder: Path) -> Run:
         "network_sha256": digest,
     }
     betas = np.array(settings["betas"]) if settings.get("betas") else None
-    return Run(garment, network, betas, held_out, provenance, _last_validation(folder))
+    return Run(garment, network, betas, held_out, provenance, _measured(folder))
 
 
 def _json(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text()) if path.is_file() else {}
 
 
-def _last_validation(folder: Path) -> dict[str, Any]:
+def _measured(folder: Path) -> dict[str, Any]:
+    """The trainer's last validation, and what ``caphy validate`` found beside the solver."""
     path = folder / METRICS
     lines = path.read_text().splitlines() if path.is_file() else []
     validations = [line for line in lines if '"validation"' in line]
-    return json.loads(validations[-1])["validation"] if validations else {}
+    last = json.loads(validations[-1])["validation"] if validations else {}
+    beside = _json(folder / VALIDATION)
+    return last | ({"beside_solver": beside} if beside else {})

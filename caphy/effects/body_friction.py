@@ -61,7 +61,8 @@ def _grip(e: Elements, p: Values) -> Tensor:
     (lagged,) = e.lagged
     carried = lagged + e.dt * e.body["velocity"]
     height = dot(e.body["normal"], carried - e.body["point"])
-    depth = (p["body_contact.distance"] + e.rest["layer"] - height).clamp_min(0)
+    skin = p["body_contact.distance"] + e.rest["layer"]
+    depth = torch.minimum((skin - height).clamp_min(0), skin)  # body_contact pushes no harder inside
     return 3 * e.dt * p["coefficient"] * p["body_contact.stiffness"] * e.rest["area"] * depth * depth
 
 

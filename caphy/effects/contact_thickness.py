@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from caphy.effects.base import Effect, Elements, Parameter, Values
-from caphy.effects.body_contact import depth
+from caphy.effects.body_contact import depth, penalty
 from caphy.effects.cloth import Cloth
 
 
 class ContactThickness(Effect):
-    """Contact that begins earlier by a thickness t, E = k a (max(d + t, 0)^3 - max(d, 0)^3) [J] per vertex.
+    """Contact that begins earlier by a thickness t, E = k a (p(d + t) - p(d)) [J] per vertex.
 
-    d is the signed depth below the model's contact distance and k the stiffness of its body_contact, so that with it
-    the sum is contact at the greater distance. Negative t lets the cloth come nearer.
+    p is the penalty of body_contact, d the signed depth below the model's contact distance and k the stiffness of the
+    model's body_contact, so that with it the sum is contact at the greater distance. Negative t lets the cloth come
+    nearer.
     """
 
     name = "contact_thickness"
@@ -30,27 +32,30 @@ class ContactThickness(Effect):
         return {"area": cloth.vertex_area, "layer": cloth.layer_thickness}
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        thick, plain = self._depths(e, p)
-        return p["body_contact.stiffness"] * e.rest["area"] * (thick**3 - plain**3)
+        (thick, thick_skin), (plain, skin) = self._depths(e, p)
+        return p["body_contact.stiffness"] * e.rest["area"] * (penalty(thick, thick_skin) - penalty(plain, skin))
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         assert e.body is not None
-        thick, plain = self._depths(e, p)
+        thick, plain = (torch.minimum(deep, skin) for deep, skin in self._depths(e, p))
         push = p["body_contact.stiffness"] * e.rest["area"] * (thick**2 - plain**2)
         return self.energy(e, p), (-3 * push * e.body["normal"])[None]
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
-        """Of one sign: that of the thickness."""
-        thick, plain = self._depths(e, p)
-        return self._stiff(e, p, thick - plain)
+        return self._stiff(e, p, self._slope(e, p))
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        thick, plain = self._depths(e, p)
-        return self._stiff(e, p, (thick - plain).clamp_min(0))
+        return self._stiff(e, p, self._slope(e, p).clamp_min(0))
 
-    def _depths(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
-        below = depth(e, p["body_contact.distance"])
-        return (below + p["thickness"]).clamp_min(0), below.clamp_min(0)
+    def _slope(self, e: Elements, p: Values) -> Tensor:
+        thick, plain = (torch.where(deep < skin, deep, 0) for deep, skin in self._depths(e, p))
+        return thick - plain
+
+    def _depths(self, e: Elements, p: Values) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+        """Depth and depth of the skin, with the thickness and without."""
+        below, skin = depth(e, p["body_contact.distance"]), p["body_contact.distance"] + e.rest["layer"]
+        thicker = (skin + p["thickness"]).clamp_min(0)
+        return ((below + p["thickness"]).clamp_min(0), thicker), (below.clamp_min(0), skin)
 
     def _stiff(self, e: Elements, p: Values, depth: Tensor) -> Tensor:
         assert e.body is not None

@@ -260,7 +260,8 @@ def body_contact(x, point, normal, index, area, layer, stiffness, distance, ener
             away = _vertex(normal, t, a)
             depth = distance + layer[i] - _dot(away, _minus(_vertex(x, t, a), _vertex(point, t, a)))
             if not depth <= 0.0:  # NaN is passed on
-                push = stiffness * area[i] * depth * depth
-                total += push * depth
+                shallow = min(depth, distance + layer[i])  # inside the body the push is that at the skin
+                push = stiffness * area[i] * shallow * shallow
+                total += push * (3.0 * depth - 2.0 * shallow)
                 _add(gradient, t, a, _blend(-3.0 * push, away, 0.0, away))
         energy[t] += total

@@ -15,8 +15,8 @@ from caphy.report.camera import Camera
 
 BACKGROUND = (0.97, 0.97, 0.98)
 SKIN = (0.80, 0.66, 0.58)
-CLOTH = ((0.33, 0.52, 0.75), (0.30, 0.33, 0.42), (0.78, 0.45, 0.35), (0.45, 0.62, 0.45))
-"""Colours [sRGB, 0 to 1] for the body and for up to four garments."""
+CLOTH = ((0.30, 0.33, 0.42), (0.33, 0.52, 0.75), (0.78, 0.45, 0.35), (0.45, 0.62, 0.45))
+"""Colours [sRGB, 0 to 1] for the body and for up to four garments, innermost first."""
 
 _AMBIENT, _SHADOW = 0.35, 0.45
 _LIGHT = np.array(

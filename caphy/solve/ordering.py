@@ -36,7 +36,7 @@ def dissect(pattern: csr_array, positions: np.ndarray) -> list[Separator]:
         separators.append(Separator(middle, children))
         return len(separators) - 1
 
-    visit(np.arange(pattern.shape[0]))
+    visit(np.arange(len(positions)))
     return separators
 
 

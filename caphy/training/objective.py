@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -64,8 +64,7 @@ class Objective:
             past: what the previous call returned; half of it is not read where a window is fresh.
         """
         scene, past = self.scene(motions, windows, offsets, past)
-        body = at_most_at_skin(scene.body, scene.x.detach())
-        return self.potential.loss(scene.x, scene.step, body), past
+        return self.potential.loss(scene.x, scene.step, scene.body), past
 
     def scene(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Scene, Past]:
         """The scored frames at offsets (B, T, V, 3), and the streams' past after the windows."""
@@ -108,17 +107,6 @@ class Objective:
         _in_threads(look, len(points))
         point, normal, velocity = torch.from_numpy(result).to(x).unflatten(1, x.shape[:2])
         return BodyState(point, normal, velocity, anchor)
-
-
-def at_most_at_skin(body: BodyState, x: Tensor) -> BodyState:
-    """The body with its surface lowered to vertices x (..., V, 3) that are inside: they are pushed as if at the skin.
-
-    Equal to the body itself wherever the cloth is outside, so at every sensible minimum. Inside, a penalty that grows
-    with the cube of the depth would let the few vertices caught where limb and trunk overlap drown everything else.
-    (The energy stated for a vertex inside is that at the skin; its gradient goes on pushing it out.)
-    """
-    depth = ((body.point - x) * body.normal).sum(-1, keepdim=True).clamp_min(0)
-    return replace(body, point=body.point - depth * body.normal)
 
 
 def _in_threads(work: Callable[[int], None], count: int) -> None:

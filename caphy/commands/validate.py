@@ -1,0 +1,106 @@
+"""``caphy validate``: hold a trained network against the reference solver, and let it stream for long."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.io.poses import PoseSequence
+
+REPORT = "validation.json"
+"""Written into the run's folder; 'caphy export' puts it into the avatar's manifest."""
+
+
+@dataclass(frozen=True)
+class Validate:
+    """Measure a trained network on motions: potential beside the reference solver's, and drift of a long stream."""
+
+    run: tyro.conf.Positional[Path]
+    """Folder that 'caphy train' wrote."""
+    poses: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Pose files; those held out of training unless given."""
+    seconds: float = 1.5
+    """How much of each motion is solved [s]; the solver takes about a second a frame."""
+    frames: int = 10_000
+    """Length of the stream whose drift is measured [frames]."""
+
+
+def main(arguments: list[str]) -> None:
+    """Entry point of ``caphy validate``."""
+    options = tyro.cli(Validate, args=arguments, prog="caphy validate")
+    settings = _settings(options.run)
+    clips = _clips(options, settings)
+
+    import numpy as np
+    import torch
+
+    from caphy.body.bundled import default_body
+    from caphy.body.model import BodyModel
+    from caphy.effects.cloth import Cloth
+    from caphy.effects.model import Model
+    from caphy.effects.potential import Potential
+    from caphy.garment.template import Garment
+    from caphy.network.files import load_network
+    from caphy.training.reference import Comparison, compare_with_solver
+    from caphy.training.validate import stream_drift
+
+    network = load_network(options.run / "network.safetensors")
+    garment, model = Garment.load(options.run / "garment.npz"), Model.load(options.run / "model.json")
+    body = BodyModel.load(Path(settings["body"])) if settings.get("body") else default_body()
+    betas = np.array(settings["betas"]) if settings.get("betas") else None
+    potential = Potential(model, Cloth.of(garment, model.density))
+
+    started, parts, report = time.monotonic(), [], {"clips": {}}
+    for number, clip in enumerate(clips, 1):
+        short = clip.resample(network.fps)[: round(options.seconds * network.fps) + 1]
+        parts.append(compare_with_solver(network, potential, body, garment, short, betas))
+        report["clips"][Path(clip.source).name] = parts[-1].summary()
+        left = (time.monotonic() - started) / number * (len(clips) - number)
+        print(f"{Path(clip.source).name}: {_line(parts[-1].summary())}  ({left:.0f} s left)", flush=True)
+    joined = (np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Comparison))
+    report |= Comparison(*joined).summary()
+    motion = max(clips, key=len).resample(network.fps)
+    poses, transl = (torch.tensor(a, dtype=torch.float32) for a in (motion.poses, motion.transl))
+    report["drift_mm"] = 1e3 * stream_drift(network, poses, transl, options.frames)
+    report["drift_frames"] = options.frames
+    print(f"all: {_line(report)}; drift over {options.frames} frames {report['drift_mm']:.2g} mm")
+    temporary = options.run / (REPORT + ".tmp")
+    temporary.write_text(json.dumps(report, indent=2) + "\n")
+    os.replace(temporary, options.run / REPORT)
+    print(f"wrote {options.run / REPORT}\nnext: caphy export {options.run} -o avatars/{options.run.name}")
+
+
+def _line(summary: dict) -> str:
+    return (
+        f"potential {summary['potential_J']:.3f} J, solver {summary['potential_of_solver_J']:.3f} J, "
+        f"skinned template {summary['potential_of_skinned_template_J']:.3f} J; "
+        f"{summary['distance_to_solver_mm']:.1f} mm from the solver"
+    )
+
+
+def _settings(run: Path) -> dict:
+    try:
+        return json.loads((run / "run.json").read_text())
+    except (OSError, ValueError) as error:
+        raise CaphyError(f"{run}: is not a folder that 'caphy train' wrote: {error}") from error
+
+
+def _clips(options: Validate, settings: dict) -> list[PoseSequence]:
+    from caphy.io.poses import read_poses
+
+    if not options.seconds > 0.1:
+        raise CaphyError(f"--seconds must be more than 0.1, got {options.seconds}")
+    recorded = dict.fromkeys(Path(name.split("#")[0]) for name in settings.get("held_out_paths", []))
+    paths = options.poses or [path for path in recorded if path.exists()]
+    if not paths:
+        raise CaphyError(f"{options.run}: none of the motions held out of training is there any more; give pose files")
+    return [read_poses(path) for path in paths]
