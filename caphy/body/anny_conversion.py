@@ -70,7 +70,7 @@ class RestBodies:
 
 def rest_bodies(phenotypes: dict[str, np.ndarray], topology: str = "notoes") -> RestBodies:
     """anny's bodies of the given phenotype arrays (B,) each; about 50 s when anny's cache is empty."""
-    import anny
+    import anny  # pyright: ignore[reportMissingImports]: an extra of its own
     import torch
 
     model = anny.Anny(topology=topology).to(torch.float64)
