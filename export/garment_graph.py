@@ -82,7 +82,9 @@ def _head(graph: OnnxGraph, head: Head, template: np.ndarray, hidden: str) -> st
     planar = np.arange(3 * count).reshape(count, 3).T.ravel()
     inner = graph.node("MatMul", hidden, head.reduce.T)
     bias = head.bias[planar] + template.T.ravel()
-    points = graph.node("Gemm", inner, graph.half(head.expand[planar].T), bias)
+    expand = head.expand[planar].T
+    halves = np.array_equal(head.expand, head.rounded().expand)  # then nothing is lost by storing it so
+    points = graph.node("Gemm", inner, graph.half(expand) if halves else expand, bias)
     points = graph.node("Reshape", points, [-1, 1, 3, count])
     return graph.node("Pad", points, [0, 0, 0, 0, 0, 0, 1, 0], np.array(1.0))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -24,8 +24,7 @@ TOLERANCE = 1e-4
 class Head:
     """Offsets (3V,) = expand @ (reduce @ h) + bias.
 
-    expand: (3V, rank) [m], numbers that float16 holds: half the size, micrometres of rounding. reduce: (rank, width).
-    bias: (3V,) [m]; vertex by vertex, x y z.
+    expand: (3V, rank) [m]. reduce: (rank, width). bias: (3V,) [m]; vertex by vertex, x y z.
     """
 
     expand: np.ndarray
@@ -36,6 +35,10 @@ class Head:
     def rank(self) -> int:
         """Width of the bottleneck."""
         return len(self.reduce)
+
+    def rounded(self) -> Head:
+        """``expand`` as float16 holds it: a graph of half the size."""
+        return replace(self, expand=self.expand.astype(np.float16).astype(np.float64))
 
 
 def hidden_states(network: GarmentNetwork, motions: Sequence[PoseSequence]) -> np.ndarray:
@@ -56,7 +59,7 @@ def low_rank_head(network: GarmentNetwork, hidden: np.ndarray, rank: int) -> Hea
     """The best head of ``rank`` for inputs distributed as ``hidden`` (N, width).
 
     A singular value decomposition of W L, L L^T the inputs' covariance, minimises the mean squared error of the
-    offsets themselves, rounding apart. A ridge of 1e-3 of the mean variance keeps directions the motions never took.
+    offsets themselves. A ridge of 1e-3 of the mean variance keeps directions the motions never took.
     """
     weight = network.head.weight.detach().double().numpy()
     bias = network.head.bias.detach().double().numpy()
@@ -65,7 +68,7 @@ def low_rank_head(network: GarmentNetwork, hidden: np.ndarray, rank: int) -> Hea
     ridge = 1e-3 * max(float(np.trace(covariance)) / len(mean), 1e-6)
     factor = np.linalg.cholesky(covariance + ridge * np.eye(len(mean)))
     left, values, right = np.linalg.svd(weight @ factor, full_matrices=False)
-    expand = (left[:, :rank] * values[:rank]).astype(np.float16).astype(float)  # as the graph stores it
+    expand = left[:, :rank] * values[:rank]
     reduce = np.linalg.solve(factor.T, right[:rank].T).T
     return Head(expand, reduce, bias + (weight @ mean - expand @ (reduce @ mean)))
 
@@ -84,10 +87,10 @@ def worst_error(network: GarmentNetwork, head: Head, hidden: np.ndarray) -> floa
 def smallest_head(
     network: GarmentNetwork, fitted: np.ndarray, held_out: np.ndarray, tolerance: float = TOLERANCE
 ) -> tuple[Head, float]:
-    """The head of lowest rank whose error on ``held_out`` inputs keeps ``tolerance`` [m], and that error."""
+    """The head of lowest rank whose error on ``held_out`` inputs, rounding included, keeps ``tolerance`` [m]; its error."""
     width = network.gru.hidden_size
     for rank in [r for r in RANKS if r < width] + [width]:
-        head = low_rank_head(network, fitted, rank)
+        head = low_rank_head(network, fitted, rank).rounded()
         error = worst_error(network, head, held_out)
         if error <= tolerance:
             return head, error
