@@ -87,7 +87,7 @@ def worst_error(network: GarmentNetwork, head: Head, hidden: np.ndarray) -> floa
 def smallest_head(
     network: GarmentNetwork, fitted: np.ndarray, held_out: np.ndarray, tolerance: float = TOLERANCE
 ) -> tuple[Head, float]:
-    """The head of lowest rank whose error on ``held_out`` inputs, rounding included, keeps ``tolerance`` [m], and it."""
+    """The head of lowest rank that keeps ``tolerance`` [m] on ``held_out`` inputs, rounding included, and its error."""
     width = network.gru.hidden_size
     for rank in [r for r in RANKS if r < width] + [width]:
         head = low_rank_head(network, fitted, rank).rounded()
