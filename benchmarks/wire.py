@@ -1,6 +1,6 @@
 """Round trips over loopback HTTP: JSON against binary.
 
-python -m benchmarks.http
+python -m benchmarks.wire
 """
 
 from __future__ import annotations
