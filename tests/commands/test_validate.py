@@ -24,7 +24,7 @@ def test_measures_a_run_beside_the_solver(tmp_path, capsys):
     assert main(["validate", str(run), "--seconds", "0.2", "--frames", "120"]) == 0
     assert f"wrote {run / 'validation.json'}" in capsys.readouterr().out
     report = json.loads((run / "validation.json").read_text())
-    assert list(report["clips"]) == ["1.npz"]
+    assert list(report["clips"]) == ["swaying 1"]
     # The solver minimises what the network was barely trained to.
     assert report["potential_of_solver_J"] < report["potential_J"]
     assert report["distance_to_solver_mm"] > 0 and report["drift_frames"] == 120
