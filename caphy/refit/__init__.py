@@ -1,0 +1,1 @@
+"""Fitting a model's parameters to measurements through the solver's own response."""

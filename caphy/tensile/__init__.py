@@ -1,0 +1,1 @@
+"""Diagnosis and refit on force curves of tensile tests."""
