@@ -69,7 +69,7 @@ class Step:
         target: where the vertices would be without any force, (..., V, 3) [m].
         lagged: positions of the last converged state, (..., V, 3) [m]; lagged coefficients are evaluated there.
         lagged_velocity: velocities of the last converged state, (..., V, 3) [m/s].
-        time: when the step ends [s], for what changes by the clock (gusts).
+        time: when the step ends [s], for what changes by the clock (gusts); (..., 1) where batched steps end apart.
     """
 
     dt: float
@@ -77,7 +77,7 @@ class Step:
     target: Tensor
     lagged: Tensor
     lagged_velocity: Tensor
-    time: float = 0.0
+    time: float | Tensor = 0.0
 
     @classmethod
     def implicit_euler(cls, dt: float, previous: Tensor, before: Tensor, time: float = 0.0) -> Step:
@@ -131,7 +131,7 @@ class Elements:
     target: Tensor | None = None
     lagged: Tensor | None = None
     lagged_velocity: Tensor | None = None
-    time: float | None = None
+    time: float | Tensor | None = None
     body: Mapping[str, Tensor] | None = None
 
     @property

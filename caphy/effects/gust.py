@@ -32,5 +32,6 @@ class Gust(Air):
 
     def push(self, e: Elements, p: Values) -> Tensor:
         assert e.time is not None
-        phase = 2 * pi * p["frequency"] * e.time
-        return uniform(p["cosine"] * torch.cos(phase) + p["sine"] * torch.sin(phase), e.x[0])
+        phase = 2 * pi * p["frequency"] * torch.as_tensor(e.time)
+        like = e.x[0]
+        return uniform(p["cosine"], like) * torch.cos(phase) + uniform(p["sine"], like) * torch.sin(phase)

@@ -1,0 +1,158 @@
+"""What windows say about numbers of a model, condensed to one small quadratic form per window.
+
+With a residual e, responses S and nuisances N (in units of their standard deviations) a window's misfit is
+
+    chi2(a) = min_z (e - S a - N z)^T D^-1 (e - S a - N z) + z^T z = c - 2 a.b + a.A a,
+
+where D is the variance that each mode has at each lag: noise, and what the solver and its mesh miss. Leaving windows
+out, fitting subsets of columns and resampling then cost nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from caphy.refit.responses import Response
+
+_ROUNDS = 4
+_LEAST = (2e-5) ** 2  # of a mode's variance [m^2]: far below what any scanner resolves
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Quadratic forms of W windows in K columns.
+
+    Attributes:
+        a (W, K, K), b (W, K), c (W,): as in the module's docstring.
+        weight: how much each window counts (W,): chaotic ones less.
+        count: entries that were compared in each window (W,).
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    weight: np.ndarray
+    count: np.ndarray
+
+    def picked(self, columns: Sequence[int]) -> Evidence:
+        """The same windows with some of the columns."""
+        index = np.asarray(columns, dtype=int)
+        return Evidence(self.a[:, index[:, None], index], self.b[:, index], self.c, self.weight, self.count)
+
+    def misfit(self, change: np.ndarray) -> np.ndarray:
+        """chi2 of each window (W,), weighted, for changes (K,) or one per window (W, K)."""
+        change = np.broadcast_to(change, self.b.shape)
+        bent = np.einsum("wk,wkl,wl->w", change, self.a, change)
+        return self.weight * (self.c - 2 * np.einsum("wk,wk->w", change, self.b) + bent)
+
+    @property
+    def normal(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sum over windows of A (K, K) and b (K,), weighted."""
+        return np.einsum("w,wkl->kl", self.weight, self.a), np.einsum("w,wk->k", self.weight, self.b)
+
+
+def evidence(responses: Sequence[Response], variance: np.ndarray, weight: np.ndarray | None = None) -> Evidence:
+    """The quadratic forms of windows, given the variance (L, M) [m^2] of each mode at each lag."""
+    forms = [_form(response, variance) for response in responses]
+    a, b, c, count = (np.stack([form[i] for form in forms]) for i in range(4))
+    return Evidence(a, b, c, np.ones(len(forms)) if weight is None else weight, count)
+
+
+def _form(response: Response, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    seen = response.seen
+    scale = 1 / np.sqrt(variance[seen])[:, :, None]
+    e = (response.residual[seen] * scale).reshape(-1)
+    s, n = ((x[seen] * scale[..., None]).reshape(len(e), -1) for x in (response.columns, response.nuisance))
+    gram = np.linalg.cholesky(np.eye(n.shape[1]) + n.T @ n)
+    ne, ns = (np.linalg.solve(gram, n.T @ x) for x in (e, s))
+    return s.T @ s - ns.T @ ns, s.T @ e - ns.T @ ne, np.array(e @ e - ne @ ne), np.array(len(e))
+
+
+def estimated_variance(responses: Sequence[Response], noise: float, ridge: float = 1e-3) -> np.ndarray:
+    """The variance (L, M) [m^2] of each mode at each lag that no column and no nuisance explains.
+
+    A few rounds of estimating what is left of the residuals with all columns fitted at once, then its variance; the
+    same for all windows and axes, and a product of one factor per lag and one per mode, so that some dozens of windows
+    are enough.
+
+    Args:
+        noise: standard deviation of a mode's coefficient by the noise of the measurement alone [m].
+    """
+    lags, modes = responses[0].residual.shape[:2]
+    left = np.stack([r.residual for r in responses])
+    variance = np.full((lags, modes), max(float(np.median(left**2)), noise**2, _LEAST))
+    for _ in range(_ROUNDS):
+        left = _left(responses, variance, ridge)
+        variance = np.maximum(_separable(left), max(noise**2, _LEAST))
+    return variance
+
+
+def _left(responses: Sequence[Response], variance: np.ndarray, ridge: float) -> np.ndarray:
+    """Squares (W, L, M) of what is left with everything fitted, corrected for the freedom of the fit; NaN unseen."""
+    known = evidence(responses, variance)
+    known = Evidence(known.a, known.b, known.c, robust_weights(known, ridge), known.count)
+    change = ridged(*known.normal, ridge)
+    squares = []
+    for response in responses:
+        scale = 1 / np.sqrt(variance)[:, :, None]
+        e = (response.residual - response.columns @ change) * scale
+        e = np.where(response.seen[:, None, None], e, 0.0)
+        n = (np.where(response.seen[:, None, None, None], response.nuisance, 0.0) * scale[..., None]).reshape(
+            e.size, -1
+        )
+        inner = np.eye(n.shape[1]) + n.T @ n
+        solved = np.linalg.solve(inner, n.T)
+        left = e.reshape(-1) - n @ (solved @ e.reshape(-1))
+        free = np.clip(1 - np.einsum("ij,ji->i", n, solved), 0.05, 1)
+        square = (left**2 / free).reshape(e.shape).mean(-1) * variance
+        squares.append(np.where(response.seen[:, None], square, np.nan))
+    return np.stack(squares)
+
+
+def _separable(square: np.ndarray) -> np.ndarray:
+    """Medians over windows of squares (W, L, M) as a product of a factor per lag and one per mode, (L, M)."""
+    middle = np.log(np.nanmedian(square, axis=0) / 0.79)  # the median of chi-square with 3 degrees over its mean
+    middle = np.where(np.isfinite(middle), middle, np.nanmean(middle[np.isfinite(middle)]))
+    grand = middle.mean()
+    return np.exp(middle.mean(1, keepdims=True) + middle.mean(0, keepdims=True) - grand)
+
+
+def robust_weights(known: Evidence, ridge: float = 1e-3) -> np.ndarray:
+    """min(1, median / chi2) of what all columns together leave in each window (W,)."""
+    change = ridged(*Evidence(known.a, known.b, known.c, np.ones(len(known.c)), known.count).normal, ridge)
+    left = Evidence(known.a, known.b, known.c, np.ones(len(known.c)), known.count).misfit(change)
+    per = np.maximum(left / known.count, 1e-12)
+    return np.minimum(1, np.median(per) / per)
+
+
+def ridged(normal: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
+    """Solution (K,) of (A + ridge diag A) x = b."""
+    if not len(right):
+        return right
+    diagonal = np.diag(normal)
+    used = diagonal > 1e-12 * max(float(diagonal.max()), 1e-300)
+    solution = np.zeros_like(right)
+    inner = normal[np.ix_(used, used)]
+    solution[used] = np.linalg.solve(inner + ridge * np.diag(diagonal[used]), right[used])
+    return solution
+
+
+def bounded(normal: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """The minimiser (K,) of x.A x - 2 b.x within bounds, by clamping what strays and solving again.
+
+    Exact for one coefficient and where clamped ones stay clamped, as in all groups of the library.
+    """
+    solution, free = np.zeros_like(right), np.ones(len(right), bool)
+    for _ in range(len(right) + 1):
+        if free.any():
+            rest = right[free] - normal[np.ix_(free, ~free)] @ solution[~free]
+            solution[free] = ridged(normal[np.ix_(free, free)], rest, 1e-9)
+        clipped = np.clip(solution, lower, upper)
+        if (clipped == solution).all():
+            return solution
+        free &= clipped == solution
+        solution = clipped
+    return solution

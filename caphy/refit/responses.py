@@ -1,0 +1,121 @@
+"""Windows of a measurement against a model: what is left, and what every number of the model would do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.measure.scene import Scene
+from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, roll_out, window_starts
+from caphy.refit.columns import Column, extended
+from caphy.refit.modes import Projection, laplacian_modes
+from caphy.refit.tangents import Start, Tangents, recorded_simulator
+from caphy.solve.integrators import SDIRK2
+from caphy.solve.newton import Newton
+
+START_MODES = 20
+"""Modes in which a window's start may be wrong."""
+START_POSITION, START_VELOCITY = 1e-3, 0.15
+"""How wrong, one standard deviation of each mode and axis: [m] and [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """One window in the span of M smooth modes; L frames after its start.
+
+    Attributes:
+        scene, start: which measurement, and the frame it starts at.
+        residual: measured minus predicted (L, M, 3) [m].
+        seen: which frames were measured, (L,).
+        columns: what one unit of each number changes (L, M, 3, K) [m].
+        nuisance: what one standard deviation of each error that is not the model's changes (L, M, 3, N) [m]: of the
+            start, and of the time step.
+        error: distance of each vertex from its measured place (L, V) [m]; NaN where not seen.
+        converged: whether the solver did, (L,).
+    """
+
+    scene: int
+    start: int
+    residual: np.ndarray
+    seen: np.ndarray
+    columns: np.ndarray
+    nuisance: np.ndarray
+    error: np.ndarray
+    converged: np.ndarray
+
+
+class Watched:
+    """A measured scene, cut into windows."""
+
+    def __init__(self, scene: Scene, number: int = 0, length: int = LENGTH) -> None:
+        if scene.measurement.vertices is None:
+            where = scene.measurement.source or scene.measurement.name
+            raise CaphyError(f"{where}: must be registered; register the point clouds first")
+        self.scene, self.number, self.length = scene, number, length
+
+    @cached_property
+    def projection(self) -> Projection:
+        """Onto the modes of the scene's cloth."""
+        cloth = self.scene.potential(Model(1.0)).cloth
+        return Projection(laplacian_modes(cloth), cloth.vertex_area)
+
+    def starts(self) -> list[int]:
+        """Frames at which whole windows can start."""
+        some = StartStates(self.scene, self.scene.potential(Model(1.0, {"gravity": {}})))
+        last = len(self.scene.measurement) - 1
+        return [frame for frame in window_starts(some, self.length) if frame + self.length <= last]
+
+    def respond(self, model: Model, columns: Sequence[Column], starts: Sequence[int]) -> Iterator[Response]:
+        """The windows that start at given frames, one after another."""
+        potential = self.scene.potential(model)
+        newton = Newton(potential, self.scene.fixed, TOLERANCE)
+        full = self.scene.potential(extended(model, columns))
+        tangents, states = Tangents(self.scene, newton, full, columns), StartStates(self.scene, potential)
+        simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
+        coarse = self.scene.simulator(potential, TOLERANCE)
+        for frame in starts:
+            recorder.stages.clear()
+            state = states.state(frame)
+            run = roll_out(self.scene, simulator, state, frame, length=self.length)
+            moved = tangents.along(recorder.stages, self._start(), self.length, SUBSTEPS, SDIRK2())
+            rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
+            yield self._response(frame, run, moved[1:], (run.positions - rough.positions)[1:], len(columns))
+
+    def _start(self) -> Start:
+        """Errors of one standard deviation in each mode of the start's positions, then of its velocities."""
+        modes = self.projection.modes[:, :START_MODES]
+        fields = np.einsum("vm,ac->mavc", modes, np.eye(3)).reshape(-1, len(modes), 3)
+        zero = np.zeros_like(fields)
+        x, v = np.concatenate([START_POSITION * fields, zero]), np.concatenate([zero, START_VELOCITY * fields])
+        return Start(torch.from_numpy(x), torch.from_numpy(v))
+
+    def _response(self, frame: int, run, moved: np.ndarray, step: np.ndarray, count: int) -> Response:
+        measurement = self.scene.measurement
+        assert measurement.vertices is not None
+        frames = run.frames[1:]
+        offset = measurement.vertices[frames] - run.positions[1:]
+        seen = measurement.observed[frames]
+        fields = np.concatenate([offset[:, None], step[:, None], moved], axis=1)  # (L, 2 + K + N, V, 3)
+        shape = (self.projection.modes.shape[1], 3, fields.shape[1])
+        enough = seen.mean(axis=1) >= 0.5
+        modal = np.stack(
+            [
+                self.projection.of(np.moveaxis(f, 0, -1), s) if good else np.zeros(shape)
+                for f, s, good in zip(fields, seen, enough, strict=True)
+            ]
+        )
+        error = np.where(seen, np.linalg.norm(offset, axis=-1), np.nan)
+        changes, starts = modal[..., 2 : 2 + count], modal[..., 2 + count :]
+        nuisance = np.concatenate([modal[..., 1:2], starts], axis=-1)
+        return Response(self.number, frame, modal[..., 0], enough, changes, nuisance, error, run.converged[1:])
+
+
+def watched(scenes: Sequence[Scene], length: int = LENGTH) -> list[Watched]:
+    """Scenes in the order given."""
+    return [Watched(scene, number, length) for number, scene in enumerate(scenes)]

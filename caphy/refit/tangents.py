@@ -1,0 +1,157 @@
+"""Tangents along a roll-out: how the motion changes with a model's numbers and with its start.
+
+Each minimisation of the roll-out has g(x; step) = 0, so that a change of a number a or of the step's history moves it by
+
+    H dx = -dg/da - dg/d(step) d(step),
+
+with the Hessian H factorised once for all columns. What happens between minimisations is linear, so the integrator
+itself advances the tangents: it is called with tangents in the place of states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.base import BodyState, Step
+from caphy.effects.potential import Potential
+from caphy.measure.scene import Scene
+from caphy.refit.columns import Column, forces
+from caphy.solve.integrators import Integrator, Solve, State
+from caphy.solve.newton import Newton
+from caphy.solve.rollout import Simulator
+
+_NUDGE = 1e-7  # metres by which a history is moved to see what it does
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One minimisation of a roll-out: its step and its minimiser (V, 3) [m]."""
+
+    step: Step
+    x: Tensor
+
+
+class Recorder:
+    """An integrator that keeps the stages it went through."""
+
+    def __init__(self, integrator: Integrator) -> None:
+        self.integrator, self.order = integrator, integrator.order
+        self.stages: list[Stage] = []
+
+    def advance(self, state: State, dt: float, solve: Solve) -> State:
+        """As the integrator would."""
+
+        def kept(step: Step, time: float) -> Tensor:
+            x = solve(step, time)
+            self.stages.append(Stage(step, x))
+            return x
+
+        return self.integrator.advance(state, dt, kept)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Changes of the start state: positions and velocities (N, V, 3) per unit of each of N columns."""
+
+    x: Tensor
+    v: Tensor
+
+
+class Tangents:
+    """Tangents of roll-outs of one model on one scene."""
+
+    def __init__(self, scene: Scene, newton: Newton, candidates: Potential, columns: Sequence[Column]) -> None:
+        """``newton`` minimises the model; ``candidates`` is the model with the effects of all columns present."""
+        self.scene, self.newton, self.candidates, self.columns = scene, newton, candidates, columns
+        free = np.ones(len(scene.garment.vertices)) if scene.fixed is None else (~scene.fixed).astype(float)
+        self._free = torch.from_numpy(free)[:, None]
+
+    def along(
+        self, stages: Sequence[Stage], start: Start, frames: int, substeps: int, integrator: Integrator
+    ) -> np.ndarray:
+        """Changes of the positions in each frame (frames + 1, K + N, V, 3) per unit of each column, start included."""
+        dt = 1 / self.scene.measurement.fps
+        pushes, bodies = self._pushes(stages), self._bodies(stages)
+        zeros = torch.zeros((len(self.columns), *stages[0].x.shape), dtype=torch.float64)
+        state = State(0.0, torch.cat([zeros, start.x * self._free]), torch.cat([zeros, start.v * self._free]))
+        place = iter(range(len(stages)))
+
+        def solve(change: Step, time: float) -> Tensor:
+            i = next(place)
+            return self._solved(stages[i], bodies[i], pushes[i], change)
+
+        found = [state.x.numpy()]
+        for _ in range(frames):
+            for _ in range(substeps):
+                state = integrator.advance(state, dt / substeps, solve)
+            found.append(state.x.numpy())
+        return np.stack(found)
+
+    def _solved(self, stage: Stage, body: BodyState | None, push: Tensor, change: Step) -> Tensor:
+        right = self._of_history(stage, body, change)
+        right[: len(push)] += push
+        right = (right * self._free).permute(1, 2, 0).contiguous().numpy()  # (V, 3, K)
+        factor = self.newton.factorize(stage.x, stage.step, None if body is None else lambda _: body)
+        return torch.from_numpy(-factor.solve(right)).permute(2, 0, 1).contiguous()
+
+    def _of_history(self, stage: Stage, body: BodyState | None, change: Step) -> Tensor:
+        """Change of the model's gradient (K, V, 3) with the step's history, by differences."""
+        total = torch.zeros_like(change.target)
+        fields = ("origin", "target", "lagged", "lagged_velocity")
+        size = torch.stack(
+            [
+                getattr(change, name).abs().amax(dim=(1, 2)) * (change.dt if name == "lagged_velocity" else 1)
+                for name in fields
+            ]
+        ).amax(0)
+        nudge = (_NUDGE / size.clamp_min(1e-30))[:, None, None]
+        there = {name: getattr(stage.step, name) + nudge * getattr(change, name) for name in fields}
+        potential, x = self.newton.potential, stage.x
+        for term in potential.terms.values():
+            effect = term.effect
+            if not (effect.needs_step or effect.reads_step) or (effect.needs_body and body is None):
+                continue
+            here = _gradient(potential, term, x, stage.step, body)
+            count = len(nudge)
+            seen = None if body is None else body.map(lambda f, n=count: f.expand(n, *f.shape))
+            after = _gradient(potential, term, x.expand(count, *x.shape), replace(stage.step, **there), seen)
+            total += (after - here) / nudge
+        return total
+
+    def _bodies(self, stages: Sequence[Stage]) -> list[BodyState | None]:
+        motion = self.scene.motion
+        if motion is None:
+            return [None] * len(stages)
+        return [motion.state(float(s.step.time), s.x.numpy(), s.step.dt) for s in stages]
+
+    def _pushes(self, stages: Sequence[Stage]) -> list[Tensor]:
+        """What each column adds to the gradient in each stage, (K, V, 3) each; all stages at once."""
+        if not self.columns:
+            return [torch.zeros((0, *stages[0].x.shape), dtype=torch.float64)] * len(stages)
+        fields = {
+            name: torch.stack([getattr(s.step, name) for s in stages])
+            for name in ("origin", "target", "lagged", "lagged_velocity")
+        }
+        times = torch.tensor([float(s.step.time) for s in stages], dtype=torch.float64)[:, None]
+        step = Step(stages[0].step.dt, **fields, time=times)
+        bodies = [body for body in self._bodies(stages) if body is not None]
+        body = None
+        if bodies:
+            body = BodyState(*(torch.stack([getattr(b, name) for b in bodies]) for name in vars(bodies[0])))
+        return list(forces(self.candidates, self.columns, torch.stack([s.x for s in stages]), step, body))
+
+
+def _gradient(potential: Potential, term, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    elements = potential.elements(term, x, step, body)
+    return term.scatter(term.effect.gradient(elements, term.values)[1]).movedim(0, -1)
+
+
+def recorded_simulator(scene: Scene, newton: Newton, integrator: Integrator) -> tuple[Simulator, Recorder]:
+    """A simulator of a scene that keeps its stages."""
+    recorder = Recorder(integrator)
+    return Simulator(newton, scene.motion, recorder, scene.pins), recorder  # type: ignore[arg-type]
