@@ -7,13 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 from torch import Tensor
 
-from caphy.effects.base import Effect, Elements, Parameter, Values, gradient_jacobian
+from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import dihedral, dihedral_gradient, hinge_rest
-from caphy.effects.vectors import outer
+from caphy.effects.hinge import Hinge, dihedral, dihedral_gradient, hinge_rest
 
 
-class Bending(Effect):
+class Bending(Hinge):
     """Hinge bending, E = k l^2 / (8 A) (theta - theta_rest)^2 [J] per interior edge.
 
     l is the edge's rest length, A the rest area of its two faces, theta the signed dihedral angle, so that folds
@@ -23,14 +22,12 @@ class Bending(Effect):
     """
 
     name = "bending"
-    element = "hinge"
     group = "stiffness"
     parameters = {
         "stiffness_weft": Parameter(3.96e-5, "N m", 0.0, 1.0, doc="k where the weft threads bend"),
         "stiffness_warp": Parameter(3.96e-5, "N m", 0.0, 1.0, doc="k where the warp threads bend"),
     }
     reference = "CaPhy eq. 8; Grinspun et al., Discrete shells, SCA 2003; Bridson et al., SCA 2003"
-    internal = True
 
     def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
         rest = hinge_rest(cloth)
@@ -47,13 +44,9 @@ class Bending(Effect):
         moment = moment * turn
         return moment * turn, 2 * moment * slope
 
-    def hessian(self, e: Elements, p: Values) -> Tensor:
-        return gradient_jacobian(self, e, p)
-
-    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        """Gauss-Newton: the curvature of the angle itself is left out."""
-        _, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        return outer(2 * bending_stiffness(e.rest, p) * slope, slope)
+    def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
+        stiffness = 2 * bending_stiffness(e.rest, p)
+        return stiffness * (angle - e.rest["angle"]), stiffness
 
 
 def bending_stiffness(rest: Mapping[str, Tensor], p: Values) -> Tensor:

@@ -8,14 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import Effect, Elements, Parameter, Values, gradient_jacobian
+from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import dihedral, dihedral_gradient, hinge_rest
-from caphy.effects.vectors import outer
+from caphy.effects.hinge import Hinge, dihedral, dihedral_gradient, hinge_rest
 from caphy.material.fabrics import BEND_SPACING, fabric
 
 
-class BendingMeasured(Effect):
+class BendingMeasured(Hinge):
     """Hinge bending with measured stiffness: moment k l^2 / (4 A) (theta - theta_rest) [N m], E [J] its integral.
 
     k is linear in the edge's angle from the weft (rows at 0, 45 and 90 degrees) and in the curvature
@@ -26,7 +25,6 @@ class BendingMeasured(Effect):
     """
 
     name = "bending_measured"
-    element = "hinge"
     group = "stiffness"
     parameters = {
         "bending": Parameter(
@@ -39,7 +37,6 @@ class BendingMeasured(Effect):
         )
     }
     reference = "Wang, O'Brien, Ramamoorthi, Data-driven elastic models for cloth, SIGGRAPH 2011; CaPhy eq. 8"
-    internal = True
 
     def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
         u, v = np.abs(np.moveaxis(cloth.hinge_edges, -1, 0))
@@ -55,14 +52,12 @@ class BendingMeasured(Effect):
         energy, moment = measured_moments(angle - e.rest["angle"], e.rest, p)
         return energy, moment * slope
 
-    def hessian(self, e: Elements, p: Values) -> Tensor:
-        return gradient_jacobian(self, e, p)
-
-    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        """Gauss-Newton: the curvature of the angle is left out, and a moment grows at least in proportion."""
-        angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        _, secant, tangent = _moments(_column(angle - e.rest["angle"], e.rest), stiffness_nodes(e.rest, p))
-        return outer(torch.maximum(tangent, secant) * e.rest["length"] ** 2 / (4 * e.rest["area"]) * slope, slope)
+    def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
+        """With ``convex`` a moment grows at least in proportion."""
+        turn = angle - e.rest["angle"]
+        _, secant, tangent = _moments(_column(turn, e.rest), stiffness_nodes(e.rest, p))
+        scale = e.rest["length"] ** 2 / (4 * e.rest["area"])
+        return scale * secant * turn, scale * (torch.maximum(tangent, secant) if convex else tangent)
 
 
 def measured_moments(turn: Tensor, rest: Mapping[str, Tensor], p: Values) -> tuple[Tensor, Tensor]:

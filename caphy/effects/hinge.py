@@ -82,14 +82,19 @@ class Hinge(Effect):
         energy, moment, _ = self._differentiated(angle, e, p)
         return energy, moment * slope
 
+    def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
+        """Moment [N m] and its slope [N m] at angles (..., n) [rad]; with ``convex`` the slope is not negative."""
+        _, moment, stiffness = self._differentiated(angle, e, p)
+        return moment, stiffness.clamp_min(0) if convex else stiffness
+
     def hessian(self, e: Elements, p: Values) -> Tensor:
         return gradient_jacobian(self, e, p)
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         """Gauss-Newton: the curvature of the angle itself is left out, and no hinge has a negative stiffness."""
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        _, _, stiffness = self._differentiated(angle, e, p)
-        return outer(stiffness.clamp_min(0) * slope, slope)
+        _, stiffness = self.response(angle, e, p, convex=True)
+        return outer(stiffness * slope, slope)
 
     def _differentiated(self, angle: Tensor, e: Elements, p: Values) -> tuple[Tensor, Tensor, Tensor]:
         """Energy, moment [N m] and stiffness [N m] (..., n); the moment stays differentiable if the angle is."""

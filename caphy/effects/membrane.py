@@ -121,17 +121,23 @@ class Membrane(Effect):
         density, stress, _ = self._differentiated(deformation.strain, e, p, order=1)
         return e.rest["area"] * density, membrane_gradient(e, deformation, stress)
 
+    def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
+        """Stress and tangent at Green strains uu, vv, uv (..., n) [N/m].
+
+        With ``convex`` compressive stress is left out and the tangent's negative eigenvalues are set to zero.
+        """
+        _, stress, tangent = self._differentiated(strain, e, p, order=2)
+        if convex:
+            return positive_part(stress), _entries(clamp_eigenvalues(tangent[None, :, None])[0, :, 0])
+        return stress, _entries(tangent)
+
     def hessian(self, e: Elements, p: Values) -> Tensor:
         deformation = Deformation.of(e)
-        _, stress, tangent = self._differentiated(deformation.strain, e, p, order=2)
-        return membrane_hessian(e, deformation, stress, _entries(tangent))
+        return membrane_hessian(e, deformation, *self.response(deformation.strain, e, p))
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        """Compressive stress left out and the tangent's negative eigenvalues set to zero."""
         deformation = Deformation.of(e)
-        _, stress, tangent = self._differentiated(deformation.strain, e, p, order=2)
-        tangent = clamp_eigenvalues(tangent[None, :, None])[0, :, 0]
-        return membrane_hessian(e, deformation, positive_part(stress), _entries(tangent))
+        return membrane_hessian(e, deformation, *self.response(deformation.strain, e, p, convex=True))
 
     def _differentiated(
         self, strain: Symmetric, e: Elements, p: Values, order: int

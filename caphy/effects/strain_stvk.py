@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import Effect, Elements, Parameter, Values
-from caphy.effects.cloth import Cloth
+from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.membrane import (
     Deformation,
+    Membrane,
     Symmetric,
     Tangent,
     membrane_gradient,
-    membrane_hessian,
-    membrane_rest,
     positive_part,
 )
 
 
-class StrainStVK(Effect):
+class StrainStVK(Membrane):
     """Isotropic St. Venant-Kirchhoff membrane, E = A (lambda/2 tr(G)^2 + mu tr(G^2)) [J] per face.
 
     lambda and mu are those of the sheet [N/m], thickness included. The defaults are SNUG's cotton: Young's modulus
@@ -27,36 +24,24 @@ class StrainStVK(Effect):
     """
 
     name = "strain_stvk"
-    element = "face"
     group = "stiffness"
     parameters = {
         "lame_lambda": Parameter(20.9, "N/m", 0.0, 1e5, doc="first Lame parameter of the sheet"),
         "lame_mu": Parameter(11.1, "N/m", 0.0, 1e5, doc="second Lame parameter (shear) of the sheet"),
     }
     reference = "Santesteban, Otaduy, Casas, SNUG, CVPR 2022, eq. 5; CaPhy eq. 4-6"
-    internal = True
 
-    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
-        return membrane_rest(cloth)
-
-    def energy(self, e: Elements, p: Values) -> Tensor:
-        return e.rest["area"] * stvk_density(Deformation.of(e).strain, p)
+    def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
+        return stvk_density(strain, p)
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         deformation = Deformation.of(e)
         energy = e.rest["area"] * stvk_density(deformation.strain, p)
         return energy, membrane_gradient(e, deformation, _stress(deformation.strain, p))
 
-    def hessian(self, e: Elements, p: Values) -> Tensor:
-        deformation = Deformation.of(e)
-        stress = _stress(deformation.strain, p)
-        return membrane_hessian(e, deformation, stress, _tangent(stress[0], p))
-
-    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        """Compressive stress left out; the material part is semi-definite as it stands."""
-        deformation = Deformation.of(e)
-        stress = positive_part(_stress(deformation.strain, p))
-        return membrane_hessian(e, deformation, stress, _tangent(stress[0], p))
+    def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
+        stress = _stress(strain, p)
+        return positive_part(stress) if convex else stress, _tangent(stress[0], p)
 
 
 def stvk_density(strain: Symmetric, p: Values) -> Tensor:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
-from caphy.effects.base import BodyState, Elements, Step
-from caphy.effects.potential import Potential, Term
+from caphy.effects.base import BodyState, Step
+from caphy.effects.blocks import add_blocks
+from caphy.effects.potential import Potential
 from caphy.solve.factorize import Factor, Symbolic
 from caphy.solve.ordering import dissect
 
@@ -16,78 +16,63 @@ from caphy.solve.ordering import dissect
 class Hessian:
     """Assembles and factorises the second derivative of a potential.
 
-    Each entry of each element Hessian knows its slot among the stored entries (the lower triangle in elimination
-    order), so that assembly is one weighted count per effect.
+    The matrix is kept as 3x3 blocks (B, 3, 3) [N/m]: of each pair of vertices that share an element, the one in the
+    lower triangle in elimination order. Each pair of corners of each element knows its block.
     """
 
     def __init__(self, potential: Potential, fixed: np.ndarray | None = None) -> None:
         """``fixed`` (V,) marks vertices that do not move: their rows and columns are those of the identity."""
         self.potential = potential
         count = len(potential.cloth.vertices)
-        pattern = _pattern([term.index.cpu().numpy() for term in potential.terms.values()], count)
+        index = {name: term.index.cpu().numpy() for name, term in potential.terms.items()}
+        pattern = _pattern(list(index.values()), count)
         separators = dissect(pattern, potential.cloth.vertices)
-        rank = np.argsort(np.concatenate([separator.vertices for separator in separators]))
-        keys, diagonal = {}, 3 * count
-        for name, term in potential.terms.items():
-            keys[name] = _keys(term.index.cpu().numpy(), rank)
-        own = np.arange(diagonal, dtype=np.int64) * (diagonal + 1)
-        stored = np.unique(np.concatenate([own, *(key[key >= 0] for key in keys.values())]))
-        row, column = np.divmod(stored, diagonal)
-        self._size = len(stored)
-        self._slots = {name: np.where(key < 0, self._size, np.searchsorted(stored, key)) for name, key in keys.items()}
-        self._diagonal = np.searchsorted(stored, own).reshape(-1, 3)[rank]
-        held = np.zeros(count, bool) if fixed is None else fixed
-        held = np.repeat(held[np.argsort(rank)], 3)
-        self._cleared = np.flatnonzero(held[row] | held[column])
-        self._held = np.flatnonzero(held[row] & (row == column))
-        self._symbolic = Symbolic(separators, pattern, row, column)
-        self._row, self._column, self._scalar_rank = row, column, _scalar_rank(rank)
+        order = np.concatenate([separator.vertices for separator in separators])
+        rank = np.argsort(order)
+        pairs = coo_array(pattern)
+        row, column = rank[pairs.row], rank[pairs.col]
+        stored = np.sort((row * count + column)[row >= column])
+        self._row, self._column = np.divmod(stored, count)
+        self._slots = {name: _slots(stored, rank[corners], count) for name, corners in index.items()}
+        self._diagonal = np.searchsorted(stored, rank * (count + 1))
+        held = np.zeros(count, bool) if fixed is None else fixed[order]
+        self._cleared = np.flatnonzero(held[self._row] | held[self._column])
+        self._held = np.flatnonzero(held[self._row] & (self._row == self._column))
+        self._order, self._symbolic = order, Symbolic(separators, pattern, self._row, self._column)
 
     def values(
         self, x: Tensor, step: Step | None = None, body: BodyState | None = None, projection: float = 1.0
     ) -> np.ndarray:
-        """Stored entries (N,) [N/m] at positions (V, 3) [m].
+        """Blocks (B, 3, 3) [N/m] at positions (V, 3) [m].
 
-        With ``projection`` 1 every element is positive semi-definite, with 0 all are exact. In between faces, whose
-        compression is what makes a Hessian indefinite, are mixed and the rest is projected.
+        With ``projection`` 1 every element is positive semi-definite, with 0 all are exact, in between a mixture.
         """
-        values = np.zeros(self._size + 1)
+        blocks, positions = np.zeros((len(self._row), 3, 3)), x.detach().contiguous().numpy()
         for name, term, elements in self.potential.acting(x, step, body):
-            blocks = _element_hessian(term, elements, projection).to(torch.float64).contiguous().cpu().numpy()
-            values += np.bincount(self._slots[name], blocks.reshape(-1), self._size + 1)
-        values = values[:-1]
-        values[self._cleared] = 0
-        values[self._held] = 1
-        return values
+            add_blocks(term, elements, positions, projection, self._slots[name], blocks)
+        blocks[self._cleared] = 0
+        blocks[self._held] = np.eye(3)
+        return blocks
 
-    def shifted(self, values: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """Entries with ``shift`` (V,) [N/m] added to the diagonal."""
-        moved = values.copy()
-        moved[self._diagonal] += shift[:, None]
+    def shifted(self, blocks: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Blocks with ``shift`` (V,) [N/m] added to the diagonal."""
+        moved = blocks.copy()
+        moved[self._diagonal] += shift[:, None, None] * np.eye(3)
         return moved
 
-    def factorize(self, values: np.ndarray) -> Factor | None:
-        """Cholesky factor of stored entries (N,); None unless the matrix is positive definite."""
-        return self._symbolic.factorize(values)
+    def factorize(self, blocks: np.ndarray) -> Factor | None:
+        """Cholesky factor of blocks (B, 3, 3); None unless the matrix is positive definite."""
+        return self._symbolic.factorize(blocks)
 
-    def matrix(self, values: np.ndarray) -> csr_array:
-        """The full symmetric matrix (3 V, 3 V) [N/m] of stored entries (N,), coordinates in vertex order."""
-        natural = np.argsort(self._scalar_rank)
-        row, column = natural[self._row], natural[self._column]
-        size = len(natural)
-        below = coo_array((values, (row, column)), (size, size)).tocsr()
-        off = self._row != self._column
-        return below + coo_array((values[off], (column[off], row[off])), (size, size)).tocsr()
-
-
-def _element_hessian(term: Term, elements: Elements, projection: float) -> Tensor:
-    """Element Hessians (k, 3, k, 3, n) [N/m], projected as :meth:`Hessian.values` says."""
-    if projection == 0:
-        return term.effect.hessian(elements, term.values)
-    projected = term.effect.projected_hessian(elements, term.values)
-    if projection == 1 or term.effect.element != "face":
-        return projected
-    return torch.lerp(term.effect.hessian(elements, term.values), projected, projection)
+    def matrix(self, blocks: np.ndarray) -> csr_array:
+        """The full symmetric matrix (3 V, 3 V) [N/m] of blocks (B, 3, 3), coordinates in vertex order."""
+        row, column, size = self._order[self._row], self._order[self._column], 3 * len(self._order)
+        off = row != column
+        rows, columns = np.concatenate([row, column[off]]), np.concatenate([column, row[off]])
+        both = np.concatenate([blocks, blocks[off].transpose(0, 2, 1)])
+        axis = np.arange(3)
+        place = np.broadcast_arrays(3 * rows[:, None, None] + axis[:, None], 3 * columns[:, None, None] + axis)
+        return coo_array((both.ravel(), tuple(each.ravel() for each in place)), (size, size)).tocsr()
 
 
 def _pattern(indices: list[np.ndarray], count: int) -> csr_array:
@@ -99,13 +84,8 @@ def _pattern(indices: list[np.ndarray], count: int) -> csr_array:
     return pattern
 
 
-def _scalar_rank(rank: np.ndarray) -> np.ndarray:
-    return (3 * rank[:, None] + np.arange(3)).reshape(-1)
-
-
-def _keys(index: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """row * 3V + column in elimination order of each entry of element Hessians (k, 3, k, 3, n); -1 above."""
-    place = 3 * rank[index].T[:, None, :] + np.arange(3)[None, :, None]  # (k, 3, n)
-    row, column = place[:, :, None, None, :], place[None, None, :, :, :]
-    key = row * np.int64(3 * len(rank)) + column
-    return np.where(row >= column, key, -1).reshape(-1)
+def _slots(stored: np.ndarray, corners: np.ndarray, count: int) -> np.ndarray:
+    """Blocks (n, k, k) of the pairs of an element's corners (n, k), given in elimination order; -1 above."""
+    row, column = np.broadcast_arrays(corners[:, :, None], corners[:, None, :])
+    slots = np.searchsorted(stored, row * np.int64(count) + column)
+    return np.where(row >= column, slots, -1).astype(np.int32)

@@ -1,129 +1,131 @@
 """Sparse Cholesky factorisation of mesh Hessians: multifrontal, with the symbolic part done once per garment.
 
 Dense fronts along a nested dissection of the mesh go through LAPACK (Duff and Reid, ACM TOMS 9, 1983; Liu, SIAM
-Review 34, 1992). At 2,000 vertices and one thread a factorisation takes 18 ms, where SuperLU takes 77 ms, CHOLMOD (by
-way of cholespy, which repeats its analysis) 99 ms and QDLDL 117 ms.
+Review 34, 1992).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import weakref
+from itertools import pairwise
 
-import numba
 import numpy as np
-from scipy.linalg import get_blas_funcs, get_lapack_funcs
 from scipy.sparse import csr_array
 
+from caphy.solve import factor_kernels
+from caphy.solve.lapack import DGEMM, DPOTRF, DSYRK, DTRSM
 from caphy.solve.ordering import Separator
-
-dsyrk, dtrsm = get_blas_funcs(("syrk", "trsm"), dtype=np.float64)
-(dpotrf,) = get_lapack_funcs(("potrf",), dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class _Front:
-    """A dense block: the columns of one separator and the later rows they touch."""
-
-    columns: slice
-    rows: np.ndarray
-    """Scalar rows of the front in elimination order, its own columns first, (n,)."""
-    source: np.ndarray
-    """Matrix entries that enter here ..."""
-    target: np.ndarray
-    """... and their places in the front's column-major storage."""
-    children: tuple[tuple[int, np.ndarray], ...]
-    """Child fronts and the places of their remaining rows in this front."""
 
 
 class Symbolic:
-    """What the factorisations of matrices of one sparsity pattern share."""
+    """What the factorisations of matrices of one sparsity pattern share.
+
+    Attributes:
+        order: vertices in elimination order, (V,).
+    """
 
     def __init__(self, separators: list[Separator], pattern: csr_array, row: np.ndarray, column: np.ndarray) -> None:
-        """``row >= column`` (N,) are the scalar positions of the stored entries in elimination order."""
+        """``row >= column`` (B,) are the places of the stored 3x3 blocks in elimination order."""
         self.order = np.concatenate([separator.vertices for separator in separators])
         rank = np.argsort(self.order)
-        self._fronts = _fronts(separators, pattern, rank, row, column)
-        largest = max(len(front.rows) for front in self._fronts)
-        self._workspace = np.empty(largest * largest)
-        self._scalars = _scalars(self.order)
+        width = np.array([len(separator.vertices) for separator in separators])
+        stop = np.cumsum(width)
+        self._first = stop - width
+        later = _later(separators, pattern, rank, stop)
+        rows = [np.concatenate([np.arange(a, b), r]) for a, b, r in zip(self._first, stop, later, strict=True)]
+        height = np.array([len(each) for each in rows])
+        self._start, self._rows = _starts(rows), np.concatenate(rows)
+        panel = np.concatenate([[0], np.cumsum(9 * width * height)])
+        update, self._passed = _stacked(separators, 9 * (height - width) ** 2)
+        self._fronts = (width, height, panel[:-1], update)
+        self._entries = _entries(rows, np.searchsorted(stop, column, side="right"), row, column)
+        self._children = _children(separators, rows, later)
+        self._updates = np.empty(self._passed)
+        self._size, self._spare = int(panel[-1]), []
 
-    def factorize(self, values: np.ndarray) -> Factor | None:
-        """The Cholesky factor of the matrix with entries ``values`` (N,); None unless it is positive definite."""
-        blocks, updates = [], {}
-        for place, front in enumerate(self._fronts):
-            size, width = len(front.rows), front.columns.stop - front.columns.start
-            flat = self._workspace[: size * size]
-            flat[:] = 0
-            flat[front.target] = values[front.source]
-            dense = flat.reshape(size, size, order="F")
-            for child, rows in front.children:
-                _extend_add(dense, updates.pop(child), rows)
-            diagonal, failed = dpotrf(dense[:width, :width], lower=1, clean=0)
-            if failed:
-                return None
-            below = None
-            if size > width:
-                below = dtrsm(1.0, diagonal, dense[width:, :width], side=1, lower=1, trans_a=1)
-                updates[place] = dsyrk(-1.0, below, beta=1.0, c=dense[width:, width:], lower=1)
-            else:
-                updates[place] = np.empty((0, 0), order="F")
-            blocks.append((diagonal, below))
-        return Factor(self, blocks)
+    def factorize(self, blocks: np.ndarray) -> Factor | None:
+        """The Cholesky factor of the matrix of ``blocks`` (B, 3, 3); None unless it is positive definite."""
+        panels = self._spare.pop() if self._spare else np.empty(self._size)
+        given = (blocks, self._entries, self._fronts, self._children, panels, self._updates)
+        if factor_kernels.factorize(*given, DPOTRF, DTRSM, DSYRK):
+            return Factor(self, panels)
+        self._spare.append(panels)
+        return None
 
 
 class Factor:
     """A Cholesky factor; solves for as many right-hand sides as wanted."""
 
-    def __init__(self, symbolic: Symbolic, blocks: list[tuple[np.ndarray, np.ndarray | None]]) -> None:
-        self._symbolic, self._blocks = symbolic, blocks
+    def __init__(self, symbolic: Symbolic, panels: np.ndarray) -> None:
+        self._symbolic, self._panels = symbolic, panels
+        weakref.finalize(self, symbolic._spare.append, panels)  # memory is used again, which saves clearing it
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of H s = right for vertex fields ``right`` (V, 3) or (V, 3, K) with K columns."""
-        fronts, scalars = self._symbolic._fronts, self._symbolic._scalars
-        flat = right.reshape(len(scalars), -1)
-        s = flat[scalars]
-        for front, (diagonal, below) in zip(fronts, self._blocks, strict=True):
-            s[front.columns] = dtrsm(1.0, diagonal, s[front.columns], lower=1)
-            if below is not None:
-                s[front.rows[diagonal.shape[0] :]] -= below @ s[front.columns]
-        for front, (diagonal, below) in zip(reversed(fronts), reversed(self._blocks), strict=True):
-            own = s[front.columns]
-            if below is not None:
-                own = own - below.T @ s[front.rows[diagonal.shape[0] :]]
-            s[front.columns] = dtrsm(1.0, diagonal, own, lower=1, trans_a=1)
-        solution = np.empty_like(s)
-        solution[scalars] = s
+        s = self._symbolic
+        columns = right.reshape(*right.shape[:2], -1)[s.order].transpose(2, 0, 1)
+        columns = np.array(columns, dtype=np.float64, order="C").reshape(len(columns), -1)
+        where = (s._fronts, s._first, s._start, s._rows, self._panels)
+        if len(columns) == 1:
+            factor_kernels.solve_one(columns[0], *where)
+        else:
+            factor_kernels.solve_many(columns, *where, DTRSM, DGEMM)
+        solution = np.empty((*right.shape[:2], len(columns)))
+        solution[s.order] = columns.reshape(len(columns), -1, 3).transpose(1, 2, 0)
         return solution.reshape(right.shape)
 
 
-def _scalars(vertices: np.ndarray) -> np.ndarray:
-    """Indices of the three coordinates of vertices (n,), (3 n,)."""
-    return (3 * vertices[:, None] + np.arange(3)).reshape(-1)
-
-
-def _fronts(
-    separators: list[Separator], pattern: csr_array, rank: np.ndarray, row: np.ndarray, column: np.ndarray
-) -> list[_Front]:
-    stops = np.cumsum([len(separator.vertices) for separator in separators])
-    starts = stops - [len(separator.vertices) for separator in separators]
-    owner = np.searchsorted(3 * stops, column, side="right")
-    entries = np.split(np.argsort(owner, kind="stable"), np.searchsorted(np.sort(owner), np.arange(1, len(stops))))
-    later: list[np.ndarray] = []  # vertices, in elimination order, that each front still updates
-    fronts = []
-    for separator, start, stop, inside in zip(separators, starts, stops, entries, strict=True):
+def _later(separators: list[Separator], pattern: csr_array, rank: np.ndarray, stop: np.ndarray) -> list[np.ndarray]:
+    """Vertices, in elimination order, that each front still updates."""
+    later: list[np.ndarray] = []
+    for separator, end in zip(separators, stop, strict=True):
         neighbours = rank[pattern[separator.vertices].indices]
         reached = np.unique(np.concatenate([neighbours, *(later[child] for child in separator.children)]))
-        later.append(reached[reached >= stop])
-        rows = _scalars(np.concatenate([np.arange(start, stop), later[-1]]))
-        target = np.searchsorted(rows, row[inside]) + len(rows) * np.searchsorted(rows, column[inside])
-        children = tuple((child, np.searchsorted(rows, _scalars(later[child]))) for child in separator.children)
-        fronts.append(_Front(slice(3 * start, 3 * stop), rows, inside, target, children))
-    return fronts
+        later.append(reached[reached >= end])
+    return later
 
 
-@numba.njit(cache=True)
-def _extend_add(dense: np.ndarray, update: np.ndarray, rows: np.ndarray) -> None:
-    """Add the lower triangle of a child's update into its parent's front."""
-    for j in range(len(rows)):
-        for i in range(j, len(rows)):
-            dense[rows[i], rows[j]] += update[i, j]
+def _starts(lists: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum([len(each) for each in lists])])
+
+
+def _entries(rows: list[np.ndarray], owner: np.ndarray, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Where each front's own entries start, and of each entry its block, row and column in the front."""
+    inside = np.argsort(owner, kind="stable")
+    start = np.searchsorted(owner[inside], np.arange(len(rows) + 1))
+    parts = [inside[a:b] for a, b in pairwise(start)]
+    places = [
+        np.concatenate([np.searchsorted(r, which[part]) for r, part in zip(rows, parts, strict=True)])
+        for which in (row, column)
+    ]
+    return start, inside, *places
+
+
+def _children(separators: list[Separator], rows: list[np.ndarray], later: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Where each front's children start, the children, and for each front where its later rows lie in its parent."""
+    children = [np.array(separator.children, dtype=np.int64) for separator in separators]
+    places = [np.zeros(0, dtype=np.int64)] * len(rows)
+    for front, below in zip(rows, children, strict=True):
+        for child in below:
+            places[child] = np.searchsorted(front, later[child])
+    return _starts(children), np.concatenate(children), _starts(places), np.concatenate(places)
+
+
+def _stacked(separators: list[Separator], sizes: np.ndarray) -> tuple[np.ndarray, int]:
+    """Offsets of what fronts pass on, and the room it takes.
+
+    It waits on two stacks, of the tree's even and odd depths: those of a front's children are on top of one when the
+    front is eliminated, and its own goes on top of the other.
+    """
+    depth = np.zeros(len(separators), dtype=np.int64)
+    for place in range(len(separators) - 1, -1, -1):
+        depth[list(separators[place].children)] = depth[place] + 1
+    offset, top, most = np.zeros(len(separators), dtype=np.int64), [0, 0], [0, 0]
+    for place, separator in enumerate(separators):
+        even = depth[place] % 2
+        offset[place] = top[even]
+        top[even] += sizes[place]
+        most[even] = max(most[even], top[even])
+        top[1 - even] -= sizes[list(separator.children)].sum()
+    offset[depth % 2 == 1] += most[0]
+    return offset, int(sum(most))

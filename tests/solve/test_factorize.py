@@ -14,7 +14,7 @@ from caphy.solve.ordering import dissect
 
 
 def mesh_matrix(sheet, rng, columns=23, rows=11):
-    """Pattern, positions, and a random positive definite matrix on it (dense) with its stored entries."""
+    """Pattern, positions, and a random positive definite matrix on it (dense) with its stored blocks."""
     cloth = sheet(1.0, 0.5, columns, rows)
     count = len(cloth.vertices)
     pairs = np.concatenate([cloth.hinges[:, [i, j]] for i in range(4) for j in range(4)])
@@ -24,11 +24,10 @@ def mesh_matrix(sheet, rng, columns=23, rows=11):
     dense = np.kron(pattern.toarray() > 0, np.ones((3, 3))) * rng.uniform(-1, 1, (3 * count, 3 * count))
     dense = dense + dense.T
     dense += np.diag(np.abs(dense).sum(1) + 0.1)
-    places = (3 * rank[:, None] + np.arange(3)).ravel()
-    ranked = np.empty_like(dense)
-    ranked[np.ix_(places, places)] = dense
-    row, column = np.nonzero(np.tril(ranked))
-    return Symbolic(separators, pattern, row, column), dense, ranked[row, column], separators
+    order = np.argsort(rank)
+    row, column = np.nonzero(np.tril(pattern.toarray()[np.ix_(order, order)]))
+    blocks = dense.reshape(count, 3, count, 3).swapaxes(1, 2)[order[row], order[column]]
+    return Symbolic(separators, pattern, row, column), dense, blocks, separators
 
 
 def test_solves_like_dense_algebra(sheet):

@@ -1,0 +1,73 @@
+"""Element Hessians of every effect, added to the 3x3 blocks of a sparse matrix; membranes and hinges by compiled loops.
+
+A membrane's follow from its stress and tangent, a hinge's from its moment and stiffness: a few numbers an element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects import block_kernels
+from caphy.effects.base import Elements
+from caphy.effects.hinge import Hinge
+from caphy.effects.membrane import Deformation, Membrane
+from caphy.effects.potential import Term
+
+
+def add_blocks(
+    term: Term, elements: Elements, x: np.ndarray, projection: float, slots: np.ndarray, blocks: np.ndarray
+) -> None:
+    """Add an effect's element Hessians to ``blocks`` (B, 3, 3) [N/m].
+
+    Args:
+        term, elements: the effect and its elements at x.
+        x: positions (V, 3) [m].
+        projection: 0 for exact Hessians, 1 for positive semi-definite ones, in between a mixture.
+        slots: places among the blocks of the pairs of an element's corners (n, k, k), -1 where not stored.
+    """
+    effect = type(term.effect)
+    if issubclass(effect, Membrane) and effect.hessian is Membrane.hessian:
+        _add_membrane(term, elements, x, projection, slots, blocks)
+    elif issubclass(effect, Hinge) and effect.hessian is Hinge.hessian:
+        _add_hinge(term, elements, x, projection, slots, blocks)
+    else:
+        hessians = (term.effect.hessian, term.effect.projected_hessian)
+        found = _mixed(lambda convex: hessians[convex](elements, term.values), projection)
+        block_kernels.scatter(found, slots, blocks)
+
+
+def _add_membrane(term: Term, e: Elements, x: np.ndarray, projection: float, slots, blocks) -> None:
+    strain = Deformation.of(e).strain
+
+    def response(convex: bool) -> Tensor:
+        stress, tangent = term.effect.response(strain, e, term.values, convex)  # pyright: ignore
+        return torch.stack([*stress, *tangent])
+
+    found = _mixed(response, projection)
+    rest = (term.rest[key].numpy() for key in ("hat", "area"))
+    block_kernels.membrane(x[None], term.index.numpy(), *rest, found[:3], found[3:], slots, blocks)
+
+
+def _add_hinge(term: Term, e: Elements, x: np.ndarray, projection: float, slots, blocks) -> None:
+    index = term.index.numpy()
+    angle = torch.empty(len(index), dtype=torch.float64)
+    block_kernels.angles(x[None], index, angle.numpy())
+
+    def response(convex: bool) -> Tensor:
+        moment, stiffness = term.effect.response(angle, e, term.values, convex)  # pyright: ignore
+        return torch.stack([torch.zeros_like(moment) if convex else moment, stiffness.expand_as(moment)])
+
+    found = _mixed(response, projection)
+    rest = (term.rest[key].numpy() for key in ("length", "area"))
+    block_kernels.hinge(x[None], index, *rest, *found, slots, blocks)
+
+
+def _mixed(response: Callable[[bool], Tensor], projection: float) -> np.ndarray:
+    """The exact response for projection 0, the convex one for 1, in between their mixture."""
+    if projection in (0, 1):
+        return response(projection == 1).contiguous().numpy()
+    return torch.lerp(response(False), response(True), projection).contiguous().numpy()

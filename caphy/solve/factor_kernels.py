@@ -1,0 +1,176 @@
+"""Compiled loops of the multifrontal factorisation; dense blocks go through LAPACK and BLAS.
+
+Fronts are numbered in elimination order. Front f has ``width[f]`` columns of its own, from ``first[f]`` on, among
+``height[f]`` rows, all counted in vertices (3 scalars each); ``rows[start[f]:]`` are its rows in elimination order. Its
+part of the factor is a column-major panel at ``panel[f]``, what it passes on a column-major square at ``update[f]``.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
+_fast = numba.njit(
+    cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy", boundscheck=False
+)
+
+NO, TRANSPOSED, LEFT, RIGHT, LOWER = 0, 1, 2, 3, 4
+_LETTERS = np.frombuffer(b"NTLRL", dtype=np.uint8)
+
+
+@_compiled
+def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, syrk):
+    """Factorise the matrix of ``blocks`` (B, 3, 3) into ``panels``; False unless it is positive definite."""
+    entry_start, entry_block, entry_row, entry_column = entries
+    width, height, panel, update = fronts
+    child_start, child, place_start, place = children
+    letters = _LETTERS.copy()
+    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0])
+    letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
+    for f in range(len(width)):
+        own, size = 3 * width[f], 3 * height[f]
+        rest = size - own
+        dense = panels[panel[f] : panel[f] + own * size]
+        passed = updates[update[f] : update[f] + rest * rest]
+        dense[:] = 0.0
+        passed[:] = 0.0
+        for e in range(entry_start[f], entry_start[f + 1]):
+            block, row, column = entry_block[e], 3 * entry_row[e], 3 * entry_column[e]
+            for q in range(3):
+                for p in range(3):
+                    dense[(column + q) * size + row + p] = blocks[block, p, q]
+        for c in range(child_start[f], child_start[f + 1]):
+            kid = child[c]
+            own_kid = 3 * (height[kid] - width[kid])
+            kid_update = updates[update[kid] : update[kid] + own_kid * own_kid]
+            _extend_add(dense, passed, own, size, kid_update, place[place_start[kid] : place_start[kid + 1]])
+        integers[0], integers[1], integers[2] = own, rest, size
+        at = dense.ctypes.data
+        n, m, ld, info = integer, integer + np.uint64(4), integer + np.uint64(8), integer + np.uint64(12)
+        potrf(letter + np.uint64(LOWER), n, at, ld, info)
+        if integers[3] != 0:
+            return False
+        if rest > 0:
+            below = at + np.uint64(8 * own)
+            trsm(
+                letter + np.uint64(RIGHT),
+                letter + np.uint64(LOWER),
+                letter + np.uint64(TRANSPOSED),
+                letter + np.uint64(NO),
+                m,
+                n,
+                scalar,
+                at,
+                ld,
+                below,
+                ld,
+            )
+            syrk(
+                letter + np.uint64(LOWER),
+                letter + np.uint64(NO),
+                m,
+                n,
+                scalar + np.uint64(8),
+                below,
+                ld,
+                scalar,
+                passed.ctypes.data,
+                m,
+            )
+    return True
+
+
+@_compiled
+def _extend_add(dense, passed, own, size, child, place):
+    """Add the lower triangle of a child's square to its parent's panel and square."""
+    count, rest = 3 * len(place), size - own
+    for j in range(len(place)):
+        for q in range(3):
+            column = 3 * place[j] + q
+            source = (3 * j + q) * count
+            if column < own:
+                for i in range(j, len(place)):
+                    target = column * size + 3 * place[i]
+                    for p in range(3):
+                        dense[target + p] += child[source + 3 * i + p]
+            else:
+                for i in range(j, len(place)):
+                    target = (column - own) * rest + 3 * place[i] - own
+                    for p in range(3):
+                        passed[target + p] += child[source + 3 * i + p]
+
+
+@_fast
+def solve_one(right, fronts, first, start, rows, panels):
+    """Replace ``right`` (3 V,), in elimination order, by the solution."""
+    width, height, panel, _ = fronts
+    local = np.empty(3 * height.max())
+    for f in range(len(width)):
+        own, size = 3 * width[f], 3 * height[f]
+        local[:own] = right[3 * first[f] : 3 * first[f] + own]
+        local[own:size] = 0.0
+        for j in range(own):
+            column = panels[panel[f] + j * size : panel[f] + (j + 1) * size]
+            value = local[j] / column[j]
+            local[j] = value
+            for i in range(j + 1, size):
+                local[i] -= column[i] * value
+        right[3 * first[f] : 3 * first[f] + own] = local[:own]
+        for k in range(width[f], height[f]):
+            for p in range(3):
+                right[3 * rows[start[f] + k] + p] += local[3 * k + p]
+    for f in range(len(width) - 1, -1, -1):
+        own, size = 3 * width[f], 3 * height[f]
+        for k in range(height[f]):
+            for p in range(3):
+                local[3 * k + p] = right[3 * rows[start[f] + k] + p]
+        for j in range(own - 1, -1, -1):
+            column = panels[panel[f] + j * size : panel[f] + (j + 1) * size]
+            total = 0.0
+            for i in range(j + 1, size):
+                total += column[i] * local[i]
+            local[j] = (local[j] - total) / column[j]
+        right[3 * first[f] : 3 * first[f] + own] = local[:own]
+
+
+@_compiled
+def solve_many(right, fronts, first, start, rows, panels, trsm, gemm):
+    """Replace ``right`` (K, 3 V), in elimination order, by the solutions."""
+    width, height, panel, _ = fronts
+    count, total = right.shape
+    letters = _LETTERS.copy()
+    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0, 0.0])
+    letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
+    no, turned = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED)
+    left, lower = letter + np.uint64(LEFT), letter + np.uint64(LOWER)
+    n, m, ld = integer, integer + np.uint64(4), integer + np.uint64(8)
+    k, whole = integer + np.uint64(12), integer + np.uint64(16)
+    one, minus, none = scalar, scalar + np.uint64(8), scalar + np.uint64(16)
+    work = np.empty(3 * height.max() * count)
+    for f in range(len(width)):
+        own, size = 3 * width[f], 3 * height[f]
+        rest = size - own
+        integers[0], integers[1], integers[2], integers[3], integers[4] = own, rest, size, count, total
+        at, mine = panels.ctypes.data + np.uint64(8 * panel[f]), right.ctypes.data + np.uint64(24 * first[f])
+        trsm(left, lower, no, no, n, k, one, at, ld, mine, whole)
+        if rest > 0:
+            below = at + np.uint64(8 * own)
+            gemm(no, no, m, k, n, one, below, ld, mine, whole, none, work.ctypes.data, m)
+            for c in range(count):
+                for i in range(width[f], height[f]):
+                    for p in range(3):
+                        right[c, 3 * rows[start[f] + i] + p] -= work[c * rest + 3 * i - own + p]
+    for f in range(len(width) - 1, -1, -1):
+        own, size = 3 * width[f], 3 * height[f]
+        rest = size - own
+        integers[0], integers[1], integers[2], integers[3], integers[4] = own, rest, size, count, total
+        at, mine = panels.ctypes.data + np.uint64(8 * panel[f]), right.ctypes.data + np.uint64(24 * first[f])
+        if rest > 0:
+            below = at + np.uint64(8 * own)
+            for c in range(count):
+                for i in range(width[f], height[f]):
+                    for p in range(3):
+                        work[c * rest + 3 * i - own + p] = right[c, 3 * rows[start[f] + i] + p]
+            gemm(turned, no, n, k, m, minus, below, ld, work.ctypes.data, m, one, mine, whole)
+        trsm(left, lower, turned, no, n, k, one, at, ld, mine, whole)
