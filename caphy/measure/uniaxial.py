@@ -48,10 +48,8 @@ def model_curve(model: Model, axial: np.ndarray, direction: str) -> ModelCurve:
 
 def _strip_energy(model: Model, direction: str):
     """Energy per rest area [J/m^2] of a square at axial and transverse stretches, (N,) each."""
-    flat = _SIDE * np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    rest = np.column_stack([flat, np.zeros(4)])
-    cloth = Cloth(rest, faces, flat[faces], model.density, np.zeros(4), np.zeros(4))
+    cloth = square_cloth(_SIDE, model.density)
+    rest = cloth.vertices
     elastic = {name: v for name, v in model.effects.items() if name not in ("gravity", "inertia")}
     potential = Potential(Model(model.density, elastic), cloth)
 
@@ -63,6 +61,14 @@ def _strip_energy(model: Model, direction: str):
         return sum((part.numpy() for part in parts), np.zeros(scale.shape[:-1])) / _SIDE**2
 
     return energy
+
+
+def square_cloth(side: float, density: float) -> Cloth:
+    """A square of two triangles, weft along x and warp along y, with sides of a length [m]."""
+    flat = side * np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    rest = np.column_stack([flat, np.zeros(4)])
+    return Cloth(rest, faces, flat[faces], density, np.zeros(4), np.zeros(4))
 
 
 def _narrowest(energy, stretch: np.ndarray) -> np.ndarray:

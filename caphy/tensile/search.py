@@ -1,0 +1,212 @@
+"""Which effects the loadings have in common that a model lacks: forward selection on loadings that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from caphy.tensile.fit import Bench, Fit, fitted
+from caphy.tensile.loadings import Tests
+from caphy.tensile.numbers import Number, added, changed
+
+LEAST_GAIN = 0.03
+"""Smallest share of the squared error of loadings left out that an effect must remove."""
+DRAWS = 200
+_NEAR, _SHARE = 0.03, 0.9
+_ALONE = 1e-3  # share of a number's response that no other explains, below which tests cannot tell it
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One candidate against what is already in the model.
+
+    Attributes:
+        gain: share of the squared error of loadings left out that it removes, mean over fabrics.
+        gains: the same by fabric.
+        threshold: gain that the best of the library reaches by chance in one of a hundred cases.
+        used: it acts from the second loading on.
+    """
+
+    effect: str
+    gain: float
+    gains: dict[str, float]
+    threshold: float
+    used: bool = False
+    count: int = 1
+
+    @property
+    def accepted(self) -> bool:
+        return self.gain > max(self.threshold, LEAST_GAIN)
+
+
+@dataclass(eq=False)
+class Search:
+    """The fits of all fabrics, each made once.
+
+    Attributes:
+        benches: tests of each fabric.
+        base: the numbers of the model's own that are free.
+    """
+
+    benches: dict[str, Bench]
+    base: tuple[Number, ...]
+    _fits: dict[tuple[str, tuple[Number, ...]], Fit] = field(default_factory=dict, repr=False)
+
+    def fit(self, fabric: str, extra: Sequence[Number] = ()) -> Fit:
+        """The best fit of a fabric with further numbers; those of the base that these replace are held."""
+        numbers = (*self.base, *extra)
+        key = fabric, numbers
+        if key not in self._fits:
+            bench = self.benches[fabric]
+            if not extra:
+                self._fits[key] = fitted(bench, numbers)
+            else:
+                self._fits[key] = _extended(self.fit(fabric), bench, tuple(extra))
+        return self._fits[key]
+
+    def fits(self, extra: Sequence[Number] = ()) -> dict[str, Fit]:
+        return {fabric: self.fit(fabric, extra) for fabric in self.benches}
+
+    def gains(self, old: Sequence[Number], new: Sequence[Number], fabrics: Sequence[str]) -> dict[str, float]:
+        """Share of the squared error of loadings left out that new numbers remove beyond old ones, by fabric."""
+        return {f: 1 - self.fit(f, new).foretold / max(self.fit(f, old).foretold, 1e-12) for f in fabrics}
+
+    def chosen(
+        self, candidates: Sequence[str], fabrics: Sequence[str], progress: Progress | None = None
+    ) -> tuple[list[str], list[Ranked]]:
+        """Names of effects that pass, in order, and the ranking of the first round."""
+        names: list[str] = []
+        first: list[Ranked] = []
+        for _ in candidates:
+            ranking = self._ranking(names, [c for c in candidates if c not in names], fabrics, progress)
+            first = first or ranking
+            best = _simplest(ranking)
+            if best is None:
+                break
+            names.append(best.effect)
+        return self.without_useless(names, fabrics), first
+
+    def _ranking(
+        self, names: Sequence[str], candidates: Sequence[str], fabrics: Sequence[str], progress: Progress | None
+    ) -> list[Ranked]:
+        old = numbers_of(names)
+        rows = []
+        for i, candidate in enumerate(candidates):
+            if progress:
+                progress(f"trying {candidate}", i, len(candidates))
+            rows.append((candidate, self.gains(old, (*old, *added(candidate)), fabrics)))
+        threshold = self._threshold(old, candidates, fabrics)
+        ranked = [
+            Ranked(name, float(np.mean(list(gains.values()))), gains, threshold, count=len(added(name)))
+            for name, gains in rows
+        ]
+        return sorted(ranked, key=lambda row: -row.gain)
+
+    def _threshold(self, old: Sequence[Number], candidates: Sequence[str], fabrics: Sequence[str]) -> float:
+        """99 % of the largest gain of any candidate where loadings differ from the fit by what repeats differ by."""
+        if not candidates:
+            return 0.0
+        random = np.random.default_rng(0)
+        draws = {f: np.stack([drawn(self.benches[f], random) for _ in range(DRAWS)]) for f in fabrics}
+        before = np.stack([foretold(self.fit(f, old).slopes, draws[f]) for f in fabrics])
+        best = np.full(DRAWS, -np.inf)
+        for candidate in candidates:
+            new = (*old, *added(candidate))
+            after = np.stack([foretold(self.fit(f, new).slopes, draws[f]) for f in fabrics])
+            best = np.maximum(best, (1 - after / before).mean(0))
+        return float(np.quantile(best, 0.99))
+
+    def mean_gain(self, old: Sequence[Number], new: Sequence[Number], fabrics: Sequence[str]) -> float:
+        """:meth:`gains`, mean over fabrics."""
+        return float(np.mean(list(self.gains(old, new, fabrics).values())))
+
+    def without_useless(self, names: Sequence[str], fabrics: Sequence[str]) -> list[str]:
+        """Effects that are needed: those without which loadings left out are foretold as well go, weakest first."""
+        kept = list(names)
+        while kept:
+            gain = {
+                name: self.mean_gain(numbers_of([n for n in kept if n != name]), numbers_of(kept), fabrics)
+                for name in kept
+            }
+            weakest = min(gain, key=lambda name: gain[name])
+            if gain[weakest] > LEAST_GAIN:
+                break
+            kept.remove(weakest)
+        return kept
+
+
+def numbers_of(names: Sequence[str], used: bool = False) -> tuple[Number, ...]:
+    """The coefficients of effects."""
+    return tuple(number for name in names for number in added(name, used))
+
+
+def _extended(base: Fit, bench: Bench, extra: tuple[Number, ...]) -> Fit:
+    """The fit with further numbers. Those of the model's own that the further ones can replace are held where they
+    are, since the tests cannot tell them from these (Lame's mu from weft and warp stiffness)."""
+    start = np.array([*base.values, *(number.start(bench.model) for number in extra)])
+    numbers = (*base.numbers, *extra)
+    held = _replaced(bench.slopes(numbers, start).reshape(-1, len(numbers)), len(base.numbers))
+    kept = [k for k in range(len(numbers)) if k not in held]
+    model = changed(bench.model, [numbers[k] for k in held], start[held])
+    return fitted(replace(bench, model=model), [numbers[k] for k in kept], start[kept])
+
+
+def _replaced(slopes: np.ndarray, own: int) -> list[int]:
+    """Which of the first ``own`` columns (n, K) the others explain, one after the other."""
+    held: list[int] = []
+    for k in reversed(range(own)):
+        others = [j for j in range(slopes.shape[1]) if j != k and j not in held]
+        left = slopes[:, k] - slopes[:, others] @ np.linalg.lstsq(slopes[:, others], slopes[:, k], rcond=1e-9)[0]
+        if (left**2).sum() <= _ALONE * (slopes[:, k] ** 2).sum():
+            held.append(k)
+    return sorted(held)
+
+
+def drawn(bench: Bench, random: np.random.Generator) -> np.ndarray:
+    """What repeats differ by, drawn anew for every loading, over their scatter (L, 2, B)."""
+    rows = []
+    for test in bench.tests:
+        off = deviations(test)
+        rows.append(off[random.integers(0, len(off), len(test.loadings))])
+    return np.concatenate(rows)
+
+
+def deviations(test: Tests) -> np.ndarray:
+    """Repeats less their mean over their scatter (n, 2, B), widened for the freedom that the mean took; 0 unmeasured.
+
+    Where there are no repeats, independent draws stand for them.
+    """
+    repeats = [loading for loading in test.loadings if loading.used]
+    repeats = repeats if len(repeats) > 1 else list(test.loadings)
+    if len(repeats) < 2:
+        return np.random.default_rng(0).normal(size=(8, 2, 1)) * np.isfinite(test.loadings[0].measured)
+    stack = np.stack([loading.measured for loading in repeats]) / test.scatter
+    count = np.maximum(np.isfinite(stack).sum(0), 1)
+    off = np.nan_to_num(stack - np.nansum(stack, 0) / count)
+    return off * np.sqrt(len(repeats) / (len(repeats) - 1))
+
+
+def foretold(slopes: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Sum of squares (D,) of what linear fits leave of draws (D, L, 2, B) in each loading when it is left out."""
+    count, k = len(slopes), slopes.shape[-1]
+    flat, draws = slopes.reshape(count, -1, k), residual.reshape(len(residual), count, -1)
+    scale = np.sqrt(np.maximum((flat**2).sum((0, 1)), 1e-300))
+    flat = flat / scale
+    normal, right = np.einsum("lik,lim->lkm", flat, flat), np.einsum("lik,dli->dlk", flat, draws)
+    total = np.zeros(len(draws))
+    for one in range(count):
+        inverse = np.linalg.pinv(normal.sum(0) - normal[one], rcond=1e-10)
+        values = (right.sum(1) - right[:, one]) @ inverse
+        total += ((draws[:, one] - values @ flat[one].T) ** 2).sum(1)
+    return total
+
+
+def _simplest(ranking: Sequence[Ranked]) -> Ranked | None:
+    """Of those that are about as good as the best, the one with the fewest coefficients; None if none passes."""
+    best = ranking[0].gain if ranking else 0.0
+    near = [row for row in ranking if row.accepted and row.gain >= min(best - _NEAR, _SHARE * best)]
+    return min(near, key=lambda row: (row.count, -row.gain)) if near else None

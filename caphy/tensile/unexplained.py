@@ -1,0 +1,141 @@
+"""What tensile tests show that a fitted model does not say: whether it is more than scatter, and what it depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from caphy.tensile.errors import rows_of
+from caphy.tensile.fit import Bench, Fit
+from caphy.tensile.loadings import Tests
+from caphy.tensile.search import DRAWS, drawn
+
+_SAFETY = 2.0  # on the null's 99 %, which few repeats know badly
+_PARTS = (("small", 0, 8), ("middle", 8, 16), ("large", 16, 24))
+_LEAST = 0.05  # of the force, to be worth a sentence
+
+
+def systematic(bench: Bench, residual: np.ndarray) -> float:
+    """Mean square of what loadings of one direction and history have in common (1 if it is scatter)."""
+    total, entries = 0.0, 0
+    for rows in _alike(bench):
+        mean = residual[rows].mean(0)
+        total += len(rows) * float((mean**2).sum())
+        entries += int(np.count_nonzero(residual[rows].any(0)))
+    return total / max(entries, 1)
+
+
+def _alike(bench: Bench) -> list[list[int]]:
+    """Loadings of the same direction and history."""
+    groups: dict[tuple[str, bool], list[int]] = {}
+    for i, (test, loading) in enumerate(rows_of(bench.tests)):
+        groups.setdefault((test.direction, loading.used), []).append(i)
+    return list(groups.values())
+
+
+def chance(bench: Bench) -> float:
+    """What :func:`systematic` stays below where a model is right."""
+    random = np.random.default_rng(1)
+    draws = [systematic(bench, drawn(bench, random)) for _ in range(DRAWS)]
+    return _SAFETY * float(np.quantile(draws, 0.99))
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """What the residual of force depends on: share of its variance that means over each covariate explain.
+
+    ``sentences`` name the largest parts in words.
+    """
+
+    shares: Mapping[str, float]
+    sentences: tuple[str, ...]
+
+
+def dependence(fits: Mapping[str, Fit]) -> Dependence:
+    """Covariates of the residual over all fabrics."""
+    pieces = [
+        (fabric, test, loading, fit.residual[i, 0])
+        for fabric, fit in fits.items()
+        for i, (test, loading) in enumerate(rows_of(fit.bench.tests))
+    ]
+    order = list(fits)
+    columns = {
+        "strain": [np.arange(len(x.force)) for _, _, x, _ in pieces],
+        "direction": [np.full(len(x.force), t.direction == "warp") for _, t, x, _ in pieces],
+        "fabric": [np.full(len(x.force), order.index(f)) for f, _, x, _ in pieces],
+        "loading number": [np.full(len(x.force), x.curve.loading) for _, _, x, _ in pieces],
+    }
+    flat = {name: np.concatenate(column).astype(int) for name, column in columns.items()}
+    together = {
+        "strain and direction": flat["strain"] + 1000 * flat["direction"],
+        "strain, direction and fabric": flat["strain"] + 1000 * flat["direction"] + 10000 * flat["fabric"],
+    }
+    values = np.concatenate([r for *_, r in pieces])
+    shares = {name: _explained(group, values) for name, group in {**flat, **together}.items()}
+    return Dependence(shares, tuple(_sentences(fits)))
+
+
+def _explained(group: np.ndarray, values: np.ndarray) -> float:
+    """Share of the squares that group means explain, corrected for their number."""
+    _, place = np.unique(group, return_inverse=True)
+    count = np.bincount(place)
+    mean = np.bincount(place, values) / count
+    left, whole = float(((values - mean[place]) ** 2).sum()), float((values**2).sum())
+    free = max(len(values) - len(count), 1)
+    return 1 - (left / free) / max(whole / len(values), 1e-300)
+
+
+def _sentences(fits: Mapping[str, Fit]) -> list[str]:
+    said: list[tuple[float, str]] = []
+    for fit in fits.values():
+        at = 0
+        for test in fit.bench.tests:
+            rows = range(at, at + len(test.loadings))
+            at += len(test.loadings)
+            parts = _parts(test, fit.residual[list(rows), 0] * test.scatter[0])
+            if parts:
+                worst = max(abs(share) for _, share in parts)
+                words = ", ".join(
+                    f"{100 * abs(share):.0f} % too {'soft' if share > 0 else 'stiff'} at {name} strains"
+                    for name, share in parts
+                )
+                said.append((worst, f"{test.name}: the model is {words}."))
+    return [sentence for _, sentence in sorted(said, reverse=True)]
+
+
+def _parts(test: Tests, error: np.ndarray) -> list[tuple[str, float]]:
+    """Thirds of strain in which loadings agree that the model is off, with the error over the force there."""
+    force = np.stack([loading.force for loading in test.loadings])
+    found = []
+    for name, start, stop in _PARTS:
+        each = error[:, start:stop].mean(1)
+        share = float(each.mean() / np.nanmean(force[:, start:stop]))
+        sure = len(each) > 1 and abs(each.mean()) > 2 * each.std(ddof=1) / np.sqrt(len(each))
+        if abs(share) > _LEAST and sure:
+            found.append((name, share))
+    return found
+
+
+def share_left(fits: Mapping[str, Fit], before: Mapping[str, Fit]) -> float:
+    """What is left of the systematic misfit beyond chance, as a share of what there was before; mean over fabrics."""
+    shares = []
+    for fabric, fit in fits.items():
+        floor = min(1.0, chance(fit.bench))
+        first = systematic(before[fabric].bench, before[fabric].residual) - floor
+        left = systematic(fit.bench, fit.residual) - floor
+        if first > 0:
+            shares.append(max(left, 0.0) / first)
+    return float(np.mean(shares)) if shares else 0.0
+
+
+def outside(bench: Bench, residual: np.ndarray) -> bool:
+    """Whether a model is further from the tests than scatter would have it."""
+    return systematic(bench, residual) > chance(bench)
+
+
+def parts_of(sequence: Sequence[str]) -> str:
+    """Names in a sentence."""
+    names = list(sequence)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
