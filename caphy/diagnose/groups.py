@@ -36,9 +36,12 @@ class Group:
         return find_effect(self.name).group
 
 
-def own_groups(model: Model) -> list[Group]:
-    """The parameters of each effect that a model has, where they can be changed."""
-    found = [Group(name, tunable(name, model), own=True) for name in model.effects]
+def own_groups(model: Model, original: Model) -> list[Group]:
+    """The parameters of each effect that a model has, where they can be changed; of added ones the coefficients."""
+    found = [
+        Group(name, tunable(name, model) if name in original.effects else addition(name), own=True)
+        for name in model.effects
+    ]
     return [group for group in found if group.columns]
 
 

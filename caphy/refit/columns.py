@@ -111,6 +111,18 @@ def moved(model: Model, columns: Sequence[Column], change: np.ndarray) -> Model:
     return model
 
 
+def changes(before: Model, after: Model, columns: Sequence[Column]) -> np.ndarray:
+    """The changes (K,) that lead from one model to another."""
+    found = []
+    for column in columns:
+        if column.entry is None:
+            old, new = (np.asarray(m.effects[column.effect][column.parameter], float) for m in (before, after))
+            found.append(float((old * new).sum() / (old * old).sum()) - 1)
+        else:
+            found.append(column.value(after) - column.value(before))
+    return np.array(found)
+
+
 def forces(
     potential: Potential, columns: Sequence[Column], x: Tensor, step: Step | None, body: BodyState | None
 ) -> Tensor:

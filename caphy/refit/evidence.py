@@ -11,7 +11,7 @@ out, fitting subsets of columns and resampling then cost nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,8 +64,10 @@ def evidence(responses: Sequence[Response], variance: np.ndarray, weight: np.nda
 def _form(response: Response, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     seen = response.seen
     scale = 1 / np.sqrt(variance[seen])[:, :, None]
-    e = (response.residual[seen] * scale).reshape(-1)
-    s, n = ((x[seen] * scale[..., None]).reshape(len(e), -1) for x in (response.columns, response.nuisance))
+    s, n = (
+        (x[seen] * scale[..., None]).reshape(scale.size * 3, x.shape[-1]) for x in (response.columns, response.nuisance)
+    )
+    e = (response.residual[seen] * scale).reshape(-1) + n @ response.offset
     gram = np.linalg.cholesky(np.eye(n.shape[1]) + n.T @ n)
     ne, ns = (np.linalg.solve(gram, n.T @ x) for x in (e, s))
     return s.T @ s - ns.T @ ns, s.T @ e - ns.T @ ne, np.array(e @ e - ne @ ne), np.array(len(e))
@@ -93,23 +95,30 @@ def estimated_variance(responses: Sequence[Response], noise: float, ridge: float
 def _left(responses: Sequence[Response], variance: np.ndarray, ridge: float) -> np.ndarray:
     """Squares (W, L, M) of what is left with everything fitted, corrected for the freedom of the fit; NaN unseen."""
     known = evidence(responses, variance)
-    known = Evidence(known.a, known.b, known.c, robust_weights(known, ridge), known.count)
+    known = replace(known, weight=robust_weights(known, ridge))
     change = ridged(*known.normal, ridge)
     squares = []
     for response in responses:
-        scale = 1 / np.sqrt(variance)[:, :, None]
-        e = (response.residual - response.columns @ change) * scale
-        e = np.where(response.seen[:, None, None], e, 0.0)
-        n = (np.where(response.seen[:, None, None, None], response.nuisance, 0.0) * scale[..., None]).reshape(
-            e.size, -1
-        )
-        inner = np.eye(n.shape[1]) + n.T @ n
-        solved = np.linalg.solve(inner, n.T)
-        left = e.reshape(-1) - n @ (solved @ e.reshape(-1))
+        e, n = _whitened(response, variance, change)
+        solved = np.linalg.solve(np.eye(n.shape[1]) + n.T @ n, n.T)
         free = np.clip(1 - np.einsum("ij,ji->i", n, solved), 0.05, 1)
-        square = (left**2 / free).reshape(e.shape).mean(-1) * variance
+        square = ((e - n @ (solved @ e)) ** 2 / free).reshape(response.residual.shape).mean(-1) * variance
         squares.append(np.where(response.seen[:, None], square, np.nan))
     return np.stack(squares)
+
+
+def _whitened(response: Response, variance: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a change of the columns leaves (n,) before the start moves, and the nuisances (n, N); zero unseen."""
+    scale = response.seen[:, None, None] / np.sqrt(variance)[:, :, None]
+    nuisance = (response.nuisance * scale[..., None]).reshape(-1, response.nuisance.shape[-1])
+    residual = ((response.residual - response.columns @ change) * scale).reshape(-1)
+    return residual + nuisance @ response.offset, nuisance
+
+
+def best_offset(response: Response, variance: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The likeliest errors of a window's time step and start (N,) after a change of the columns."""
+    e, n = _whitened(response, variance, change)
+    return np.linalg.solve(np.eye(n.shape[1]) + n.T @ n, n.T @ e)
 
 
 def _separable(square: np.ndarray) -> np.ndarray:
@@ -122,9 +131,8 @@ def _separable(square: np.ndarray) -> np.ndarray:
 
 def robust_weights(known: Evidence, ridge: float = 1e-3) -> np.ndarray:
     """min(1, median / chi2) of what all columns together leave in each window (W,)."""
-    change = ridged(*Evidence(known.a, known.b, known.c, np.ones(len(known.c)), known.count).normal, ridge)
-    left = Evidence(known.a, known.b, known.c, np.ones(len(known.c)), known.count).misfit(change)
-    per = np.maximum(left / known.count, 1e-12)
+    even = replace(known, weight=np.ones(len(known.c)))
+    per = np.maximum(even.misfit(ridged(*even.normal, ridge)) / known.count, 1e-12)
     return np.minimum(1, np.median(per) / per)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,15 +12,15 @@ import torch
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.measure.scene import Scene
-from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, roll_out, window_starts
+from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, roll_out, window_starts
 from caphy.refit.columns import Column, extended
 from caphy.refit.modes import Projection, laplacian_modes
-from caphy.refit.tangents import Start, Tangents, recorded_simulator
-from caphy.solve.integrators import SDIRK2
+from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
+from caphy.solve.integrators import SDIRK2, State
 from caphy.solve.newton import Newton
 
 START_MODES = 20
-"""Modes in which a window's start may be wrong."""
+"""Modes in which a window's start may be wrong; each in three axes, in positions and in velocities."""
 START_POSITION, START_VELOCITY = 1e-3, 0.15
 """How wrong, one standard deviation of each mode and axis: [m] and [m/s]."""
 
@@ -35,7 +35,9 @@ class Response:
         seen: which frames were measured, (L,).
         columns: what one unit of each number changes (L, M, 3, K) [m].
         nuisance: what one standard deviation of each error that is not the model's changes (L, M, 3, N) [m]: of the
-            start, and of the time step.
+            time step, and of the start.
+        offset: how far the start was moved from what the measurement alone says, in the nuisances' standard deviations
+            (N,).
         error: distance of each vertex from its measured place (L, V) [m]; NaN where not seen.
         converged: whether the solver did, (L,).
     """
@@ -46,6 +48,7 @@ class Response:
     seen: np.ndarray
     columns: np.ndarray
     nuisance: np.ndarray
+    offset: np.ndarray
     error: np.ndarray
     converged: np.ndarray
 
@@ -58,6 +61,7 @@ class Watched:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: must be registered; register the point clouds first")
         self.scene, self.number, self.length = scene, number, length
+        self._steps: dict[int, np.ndarray] = {}  # what the time step does, told once per window: models differ little
 
     @cached_property
     def projection(self) -> Projection:
@@ -71,21 +75,42 @@ class Watched:
         last = len(self.scene.measurement) - 1
         return [frame for frame in window_starts(some, self.length) if frame + self.length <= last]
 
-    def respond(self, model: Model, columns: Sequence[Column], starts: Sequence[int]) -> Iterator[Response]:
-        """The windows that start at given frames, one after another."""
+    def respond(
+        self,
+        model: Model,
+        columns: Sequence[Column],
+        starts: Mapping[int, np.ndarray | None],
+        pushes: Pushes | None = None,
+    ) -> Iterator[Response]:
+        """The windows that start at given frames, moved by given offsets (N,), one after another.
+
+        ``pushes`` are forces to respond to in the place of columns.
+        """
         potential = self.scene.potential(model)
         newton = Newton(potential, self.scene.fixed, TOLERANCE)
         full = self.scene.potential(extended(model, columns))
-        tangents, states = Tangents(self.scene, newton, full, columns), StartStates(self.scene, potential)
+        tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = self.scene.simulator(potential, TOLERANCE)
-        for frame in starts:
+        errors = self._start()
+        for frame, given in starts.items():
             recorder.stages.clear()
-            state = states.state(frame)
+            offset = np.zeros(1 + len(errors.x)) if given is None else given.copy()
+            offset[0] = 0  # the time step is what it is
+            state = self._moved(states.state(frame), errors, offset[1:])
             run = roll_out(self.scene, simulator, state, frame, length=self.length)
-            moved = tangents.along(recorder.stages, self._start(), self.length, SUBSTEPS, SDIRK2())
-            rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
-            yield self._response(frame, run, moved[1:], (run.positions - rough.positions)[1:], len(columns))
+            moved = tangents.along(recorder.stages, errors, self.length, SUBSTEPS, SDIRK2())
+            if frame not in self._steps:
+                rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
+                self._steps[frame] = (run.positions - rough.positions)[1:]
+            yield self._response(frame, offset, run, moved[1:], self._steps[frame], moved.shape[1] - len(errors.x))
+
+    def _moved(self, state: State, errors: Start, offset: np.ndarray) -> State:
+        """A start state moved by an offset; pins stay where they are."""
+        by = torch.from_numpy(offset)
+        free = torch.ones(len(state.x)) if self.scene.fixed is None else torch.from_numpy(~self.scene.fixed)
+        x, v = (torch.tensordot(by, field, 1) * free[:, None] for field in (errors.x, errors.v))
+        return State(state.time, state.x + x, state.v + v)
 
     def _start(self) -> Start:
         """Errors of one standard deviation in each mode of the start's positions, then of its velocities."""
@@ -95,13 +120,15 @@ class Watched:
         x, v = np.concatenate([START_POSITION * fields, zero]), np.concatenate([zero, START_VELOCITY * fields])
         return Start(torch.from_numpy(x), torch.from_numpy(v))
 
-    def _response(self, frame: int, run, moved: np.ndarray, step: np.ndarray, count: int) -> Response:
+    def _response(
+        self, frame: int, offset: np.ndarray, run: WindowRun, moved: np.ndarray, step: np.ndarray, count: int
+    ) -> Response:
         measurement = self.scene.measurement
         assert measurement.vertices is not None
         frames = run.frames[1:]
-        offset = measurement.vertices[frames] - run.positions[1:]
+        away = measurement.vertices[frames] - run.positions[1:]
         seen = measurement.observed[frames]
-        fields = np.concatenate([offset[:, None], step[:, None], moved], axis=1)  # (L, 2 + K + N, V, 3)
+        fields = np.concatenate([away[:, None], step[:, None], moved], axis=1)  # (L, 2 + K + N, V, 3)
         shape = (self.projection.modes.shape[1], 3, fields.shape[1])
         enough = seen.mean(axis=1) >= 0.5
         modal = np.stack(
@@ -110,10 +137,10 @@ class Watched:
                 for f, s, good in zip(fields, seen, enough, strict=True)
             ]
         )
-        error = np.where(seen, np.linalg.norm(offset, axis=-1), np.nan)
+        error = np.where(seen, np.linalg.norm(away, axis=-1), np.nan)
         changes, starts = modal[..., 2 : 2 + count], modal[..., 2 + count :]
         nuisance = np.concatenate([modal[..., 1:2], starts], axis=-1)
-        return Response(self.number, frame, modal[..., 0], enough, changes, nuisance, error, run.converged[1:])
+        return Response(self.number, frame, modal[..., 0], enough, changes, nuisance, offset, error, run.converged[1:])
 
 
 def watched(scenes: Sequence[Scene], length: int = LENGTH) -> list[Watched]:

@@ -12,14 +12,18 @@ from caphy.errors import CaphyError
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH
-from caphy.refit.columns import Column, moved
-from caphy.refit.evidence import Evidence, bounded, estimated_variance, evidence
-from caphy.refit.responses import Response, watched
+from caphy.refit.columns import Column, changes, extended, moved
+from caphy.refit.evidence import Evidence, best_offset, bounded, estimated_variance, evidence
+from caphy.refit.responses import Response, Watched, watched
+from caphy.refit.tangents import Pushes
 
 FEWEST = 4
 """Windows without which nothing can be told."""
 
-_ROUNDS = 5
+_SHORTER = 0.4
+ROUNDS = 4
+"""Gauss-Newton steps at most."""
+
 _SETTLED = 0.01  # of the misfit: what a further Gauss-Newton step must promise
 
 Progress = Callable[[str, int, int], None]
@@ -49,15 +53,37 @@ class Study:
             found.append(0.0 if noise is None else noise.sigma / np.sqrt(len(each.scene.garment.vertices)))
         return max(found)
 
-    def respond(self, model: Model, columns: Sequence[Column], what: str = "rolling out") -> list[Response]:
-        """All windows against a model."""
+    def respond(
+        self,
+        model: Model,
+        columns: Sequence[Column],
+        offsets: Sequence[np.ndarray | None] | None = None,
+        what: str = "rolling out",
+        pushes: Callable[[Watched], Pushes] | None = None,
+    ) -> list[Response]:
+        """All windows against a model, their starts moved by ``offsets`` (one for each window).
+
+        ``pushes`` makes the forces, of no effect, to respond to in the place of columns.
+        """
         total, responses = sum(map(len, self.starts)), []
+        given = iter([None] * total if offsets is None else offsets)
         for each, starts in zip(self.watched, self.starts, strict=True):
-            for response in each.respond(model, columns, starts):
+            forces = None if pushes is None else pushes(each)
+            for response in each.respond(model, columns, {frame: next(given) for frame in starts}, forces):
                 responses.append(response)
                 if self.progress is not None:
                     self.progress(what, len(responses), total)
         return responses
+
+    def settled(self, model: Model, variance: np.ndarray | None = None) -> list[np.ndarray]:
+        """Where windows start if the model is right: moved so that their whole length fits best, as far as likely.
+
+        The measurement alone gives velocities that are too smooth; a window's own motion tells better (this is the
+        variational data assimilation of weather forecasts: Le Dimet, Talagrand, Tellus 38A, 1986).
+        """
+        responses = self.respond(model, (), None, "settling")
+        variance = self.variance(responses) if variance is None else variance
+        return [best_offset(response, variance, np.zeros(0)) for response in responses]
 
     def variance(self, responses: Sequence[Response]) -> np.ndarray:
         """The variance (L, M) [m^2] that nothing explains."""
@@ -69,71 +95,100 @@ class Fit:
     """A model fitted to windows.
 
     Attributes:
+        origin: the model that was given.
         model: with the fitted numbers.
         columns: what was fitted.
-        values: their values (K,); relative changes since the start where a column is one.
-        evidence: at the fitted model, in the fitted columns.
-        responses: the windows at the fitted model.
+        responses: the windows at the fitted model, in these columns.
+        evidence: what they say.
         misfit: weighted chi2 over all windows.
         converged: whether another step promised nothing.
     """
 
+    origin: Model
     model: Model
     columns: tuple[Column, ...]
-    values: np.ndarray
-    evidence: Evidence
     responses: list[Response]
+    evidence: Evidence
     misfit: float
-    converged: bool
+    converged: bool = False
+
+    @property
+    def change(self) -> np.ndarray:
+        """Of each number since the origin (K,)."""
+        return changes(extended(self.origin, self.columns), self.model, self.columns)
+
+    @property
+    def step(self) -> np.ndarray:
+        """The change (K,) that the windows still ask for; proportional ones of at most a factor of three at a time."""
+        limits = [(-0.6, 2.0) if c.entry is None else c.bounds(self.model) for c in self.columns]
+        lower, upper = np.array(limits).reshape(-1, 2).T
+        return bounded(*self.evidence.normal, lower, upper)
+
+    @property
+    def promise(self) -> float:
+        """By how much that change should lower the misfit."""
+        (normal, right), step = self.evidence.normal, self.step
+        return float(2 * step @ right - step @ normal @ step)
 
 
 def fit(
     study: Study,
     model: Model,
     columns: Sequence[Column],
+    responses: Sequence[Response],
     variance: np.ndarray,
     weight: np.ndarray,
-    first: np.ndarray | None = None,
     what: str = "fitting",
+    rounds: int = ROUNDS,
 ) -> Fit:
-    """Change numbers of a model so that its roll-outs meet the windows; ``first`` (K,) is a first change to try.
+    """Change numbers of a model so that its roll-outs meet the windows.
 
-    Gauss-Newton with halved steps where a step makes things worse; bounds are kept.
+    Gauss-Newton in the numbers and the windows' starts together, with shorter steps where one makes things worse;
+    bounds are kept.
+
+    Args:
+        responses: of the model as given, in these columns.
+        variance: of each mode at each lag (L, M) [m^2].
+        weight: of each window (W,).
     """
     columns = tuple(columns)
-    total = np.zeros(len(columns))
-    best = _tried(study, model, columns, total, variance, weight, what)
-    step = _step(best, model, columns) if first is None else np.asarray(first, float)
-    for _ in range(_ROUNDS):
-        there = _tried(study, model, columns, best.values + step, variance, weight, what)
-        if there.misfit < best.misfit:
-            gained = best.misfit - there.misfit
-            best = there
-            step = _step(best, moved(model, columns, best.values), columns)
-            promise = float(2 * step @ best.evidence.normal[1] - step @ best.evidence.normal[0] @ step)
-            if max(promise, 0.1 * gained) < _SETTLED * best.misfit:
+    start = _judged(model, model, columns, list(responses), variance, weight)
+    return refined(study, start, variance, weight, what, rounds)
+
+
+def refined(
+    study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "fitting", rounds: int = ROUNDS
+) -> Fit:
+    """A fit carried on."""
+    step = best.step
+    for _ in range(rounds):
+        offsets = [best_offset(response, variance, step) for response in best.responses]
+        there = moved(best.model, best.columns, step)
+        tried = study.respond(there, best.columns, offsets, what)
+        found = _judged(best.origin, there, best.columns, tried, variance, weight)
+        gained = best.misfit - found.misfit
+        if gained > 0:
+            best, step = found, found.step
+            if min(best.promise, gained) < _SETTLED * best.misfit:
                 return replace(best, converged=True)
         else:
-            step = 0.4 * step
+            step = _SHORTER * step
     return best
 
 
-def _tried(study, model, columns, change, variance, weight, what) -> Fit:
-    """The model with a change of its numbers, held against the windows."""
-    there = moved(model, columns, change)
-    relative = tuple(replace(column) for column in columns)
-    responses = study.respond(there, relative, what)
+def picked(responses: Sequence[Response], columns: Sequence[int]) -> list[Response]:
+    """The same windows with some of the columns."""
+    index = list(columns)
+    return [replace(response, columns=response.columns[..., index]) for response in responses]
+
+
+def _judged(
+    origin: Model,
+    model: Model,
+    columns: tuple[Column, ...],
+    responses: list[Response],
+    variance: np.ndarray,
+    weight: np.ndarray,
+) -> Fit:
     known = evidence(responses, variance, weight)
-    # A proportional column at the new model is in units of its new value.
-    scale = np.array(
-        [1 / (1 + by) if column.entry is None else 1.0 for column, by in zip(columns, change, strict=True)]
-    )
-    known = Evidence(known.a * scale[:, None] * scale, known.b * scale, known.c, known.weight, known.count)
-    misfit = float(known.misfit(np.zeros(len(columns))).sum())
-    return Fit(there, columns, np.asarray(change, float), known, responses, misfit, False)
-
-
-def _step(at: Fit, model: Model, columns: Sequence[Column]) -> np.ndarray:
-    normal, right = at.evidence.normal
-    limits = np.array([c.bounds(model) if c.entry is not None else (-0.6, 2.0) for c in columns]).reshape(-1, 2)
-    return bounded(normal, right, limits[:, 0], limits[:, 1])
+    return Fit(origin, model, columns, responses, known, float((known.weight * known.c).sum()))

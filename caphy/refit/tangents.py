@@ -1,6 +1,7 @@
 """Tangents along a roll-out: how the motion changes with a model's numbers and with its start.
 
-Each minimisation of the roll-out has g(x; step) = 0, so that a change of a number a or of the step's history moves it by
+Each minimisation of the roll-out has g(x; step) = 0, so that a change of a number a or of the step's history moves it
+by
 
     H dx = -dg/da - dg/d(step) d(step),
 
@@ -10,7 +11,7 @@ itself advances the tangents: it is called with tangents in the place of states.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ import torch
 from torch import Tensor
 
 from caphy.effects.base import BodyState, Step
+from caphy.effects.inertia import Inertia
 from caphy.effects.potential import Potential
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, forces
@@ -26,6 +28,10 @@ from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
 
 _NUDGE = 1e-7  # metres by which a history is moved to see what it does
+
+
+Pushes = Callable[[Tensor, Step, BodyState | None], Tensor]
+"""What K forces add to the gradient (K, S, V, 3) [N per unit] in S stages at once."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +71,20 @@ class Start:
 class Tangents:
     """Tangents of roll-outs of one model on one scene."""
 
-    def __init__(self, scene: Scene, newton: Newton, candidates: Potential, columns: Sequence[Column]) -> None:
-        """``newton`` minimises the model; ``candidates`` is the model with the effects of all columns present."""
+    def __init__(
+        self,
+        scene: Scene,
+        newton: Newton,
+        candidates: Potential,
+        columns: Sequence[Column],
+        pushes: Pushes | None = None,
+    ) -> None:
+        """``newton`` minimises the model; ``candidates`` is the model with the effects of all columns present.
+
+        ``pushes`` gives forces of no effect in the place of the columns.
+        """
         self.scene, self.newton, self.candidates, self.columns = scene, newton, candidates, columns
+        self.pushes = pushes
         free = np.ones(len(scene.garment.vertices)) if scene.fixed is None else (~scene.fixed).astype(float)
         self._free = torch.from_numpy(free)[:, None]
 
@@ -77,7 +94,7 @@ class Tangents:
         """Changes of the positions in each frame (frames + 1, K + N, V, 3) per unit of each column, start included."""
         dt = 1 / self.scene.measurement.fps
         pushes, bodies = self._pushes(stages), self._bodies(stages)
-        zeros = torch.zeros((len(self.columns), *stages[0].x.shape), dtype=torch.float64)
+        zeros = torch.zeros_like(pushes[0])
         state = State(0.0, torch.cat([zeros, start.x * self._free]), torch.cat([zeros, start.v * self._free]))
         place = iter(range(len(stages)))
 
@@ -114,6 +131,9 @@ class Tangents:
         potential, x = self.newton.potential, stage.x
         for term in potential.terms.values():
             effect = term.effect
+            if isinstance(effect, Inertia):
+                total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
+                continue
             if not (effect.needs_step or effect.reads_step) or (effect.needs_body and body is None):
                 continue
             here = _gradient(potential, term, x, stage.step, body)
@@ -131,7 +151,7 @@ class Tangents:
 
     def _pushes(self, stages: Sequence[Stage]) -> list[Tensor]:
         """What each column adds to the gradient in each stage, (K, V, 3) each; all stages at once."""
-        if not self.columns:
+        if not self.columns and self.pushes is None:
             return [torch.zeros((0, *stages[0].x.shape), dtype=torch.float64)] * len(stages)
         fields = {
             name: torch.stack([getattr(s.step, name) for s in stages])
@@ -143,7 +163,10 @@ class Tangents:
         body = None
         if bodies:
             body = BodyState(*(torch.stack([getattr(b, name) for b in bodies]) for name in vars(bodies[0])))
-        return list(forces(self.candidates, self.columns, torch.stack([s.x for s in stages]), step, body))
+        x = torch.stack([s.x for s in stages])
+        if self.pushes is not None:
+            return list(self.pushes(x, step, body).movedim(0, 1))
+        return list(forces(self.candidates, self.columns, x, step, body))
 
 
 def _gradient(potential: Potential, term, x: Tensor, step: Step, body: BodyState | None) -> Tensor:

@@ -1,0 +1,99 @@
+"""Flexible forces that belong to no effect: what a missing one depends on, where the library has no name for it.
+
+Each probe is a small family of pressure fields on the cloth. They are fitted only after the library, never beside it: a
+flexible field would take over what parameters explain (Brynjarsdottir, O'Hagan, Inverse Problems 30, 2014).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.effects.base import BodyState, Step
+from caphy.effects.cloth import Cloth
+from caphy.effects.vectors import cross
+
+Fields = Callable[[Cloth, np.ndarray, Tensor, Step, BodyState | None], Tensor]
+"""Pressures (K, ..., V, 3) [Pa] for a cloth with modes (V, M) at positions (..., V, 3) [m]."""
+
+_PLACES = 9  # modes of the material that a force may follow
+_NEAR = 0.03  # metres from the body that count as near
+_BEATS = (0.5, 1.0, 2.0)  # swings per second
+
+
+def _axes(scalar: Tensor) -> list[Tensor]:
+    """A scalar field (..., V) along each world axis."""
+    return [scalar[..., None] * axis for axis in torch.eye(3, dtype=scalar.dtype)]
+
+
+def world_direction(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    return torch.stack(_axes(torch.ones_like(x[..., 0])))
+
+
+def velocity(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    v = (x - step.origin) / step.dt
+    return torch.stack([field for axis in range(3) for field in _axes(v[..., axis])])
+
+
+def material_place(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    places = torch.from_numpy(modes[:, :_PLACES])
+    return torch.stack([field for k in range(places.shape[1]) for field in _axes(places[:, k].expand(x.shape[:-1]))])
+
+
+def place_in_space(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    a, b, c = x.unbind(-1)
+    powers = [torch.ones_like(a), a, b, c, a * a, b * b, c * c, a * b, b * c, c * a]
+    return torch.stack([field for power in powers for field in _axes(power)])
+
+
+def along_normal(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    normal = vertex_normals(cloth, step.lagged)
+    places = torch.from_numpy(modes[:, :_PLACES])
+    return torch.stack([places[:, k, None] * normal for k in range(places.shape[1])])
+
+
+def clock(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    time = torch.as_tensor(step.time, dtype=x.dtype)
+    waves = [wave(2 * np.pi * beat * time) for beat in _BEATS for wave in (torch.cos, torch.sin)]
+    return torch.stack([field for wave in waves for field in _axes(wave.expand(x.shape[:-1]))])
+
+
+def near_body(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    if body is None:
+        return torch.zeros((0, *x.shape), dtype=x.dtype)
+    distance = ((x - body.point) * body.normal).sum(-1)
+    nearness = torch.exp(-distance.clamp_min(0) / _NEAR)
+    slip = (x - step.origin) / step.dt - body.velocity
+    return torch.stack([nearness[..., None] * body.normal, nearness[..., None] * slip, *_axes(nearness)])
+
+
+PROBES: dict[str, Fields] = {
+    "world direction": world_direction,
+    "velocity": velocity,
+    "place on the cloth": material_place,
+    "place in space": place_in_space,
+    "direction of the cloth's normal": along_normal,
+    "time": clock,
+    "nearness to the body": near_body,
+}
+"""What a force may depend on."""
+
+
+def vertex_normals(cloth: Cloth, x: Tensor) -> Tensor:
+    """Unit normals (..., V, 3) of positions (..., V, 3), weighted by area."""
+    faces = torch.as_tensor(cloth.faces.astype(np.int64))
+    a, b, c = (x[..., faces[:, k], :].movedim(-1, 0) for k in range(3))
+    area = cross(b - a, c - a).movedim(0, -1)
+    normal = torch.zeros_like(x)
+    for k in range(3):
+        normal.index_add_(-2, faces[:, k], area)
+    return normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+
+
+def probe_pushes(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> dict[str, Tensor]:
+    """What one pascal of each probe adds to the gradient of the potential, name -> (K, ..., V, 3) [N]."""
+    area = torch.from_numpy(cloth.vertex_area)[:, None]
+    return {name: -area * fields(cloth, modes, x, step, body) for name, fields in PROBES.items()}

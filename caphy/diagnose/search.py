@@ -1,0 +1,184 @@
+"""The search: screen, refit the finalists on real roll-outs, accept or stop, and take back what is not needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from caphy.diagnose.groups import Group, columns_of, library, own_groups
+from caphy.diagnose.screen import Score, null_gains, screened
+from caphy.effects.model import Model
+from caphy.refit.columns import Column, changes, extended, moved
+from caphy.refit.evidence import Evidence, best_offset, evidence, robust_weights
+from caphy.refit.responses import Response
+from caphy.refit.study import Fit, Study, fit, picked, refined
+
+LEAST_GAIN = 0.05
+"""Share of the misfit an effect must take away in windows that it was not fitted to."""
+LEAST_WALD = 20.0
+"""Squared estimate over squared error."""
+OVER_BASE = 3.0
+"""How many times the best gain on base measurements, where nothing is missing."""
+MOST_TERMS = 3
+"""Effects that are added at most."""
+FINALISTS = 4
+"""Explanations that are refitted on real roll-outs in each round, at most."""
+
+_CLOSE = 0.6  # of the best gain: what is refitted
+_TIE = 0.97  # of the best fall of the misfit: where fewer numbers win
+_SECOND = 0.15  # share of the misfit that a second effect must take away by its refit
+_DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """All windows against one model, in the columns of the whole library.
+
+    ``needed`` is the gain that an effect must reach to be accepted.
+    """
+
+    model: Model
+    groups: tuple[Group, ...]
+    places: dict[str, list[int]]
+    responses: list[Response]
+    variance: np.ndarray
+    evidence: Evidence
+    scores: list[Score]
+    needed: float
+
+    @property
+    def misfit(self) -> float:
+        """Weighted chi2 of the model as it is."""
+        return float((self.evidence.weight * self.evidence.c).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """What was accepted in a round: the group, the fit with it, and what was refitted beside it (label -> misfit)."""
+
+    group: Group
+    fit: Fit
+    tried: dict[str, float]
+
+
+@dataclass(eq=False)
+class Search:
+    """How the search went; ``screens`` has one more entry than ``terms``."""
+
+    screens: list[Screen] = field(default_factory=list)
+    terms: list[Term] = field(default_factory=list)
+    removed: list[str] = field(default_factory=list)
+    fit: Fit | None = None
+
+    @property
+    def model(self) -> Model:
+        """With everything that was accepted."""
+        return self.screens[0].model if self.fit is None else self.fit.model
+
+
+def search(study: Study, model: Model, on_body: bool, floor: float = 0.0, variance: np.ndarray | None = None) -> Search:
+    """Find what a model lacks in the windows of a study.
+
+    Args:
+        floor: best gain of the library on base measurements.
+        variance: of each mode at each lag (L, M) [m^2], from base measurements; estimated here without.
+    """
+    found = Search()
+    found.screens.append(screen(study, model, model, on_body, floor, variance))
+    while len(found.terms) < MOST_TERMS:
+        term = _next_term(study, found)
+        if term is None:
+            break
+        found.terms.append(term)
+        found.fit = term.fit
+        if len(found.terms) == MOST_TERMS:
+            break
+        last = found.screens[0]
+        offsets = [best_offset(r, last.variance, np.zeros(len(term.fit.columns))) for r in term.fit.responses]
+        found.screens.append(
+            screen(study, term.fit.model, model, on_body, floor, last.variance, last.evidence.weight, offsets)
+        )
+    _eliminate(study, found)
+    return found
+
+
+def screen(
+    study: Study,
+    model: Model,
+    original: Model,
+    on_body: bool,
+    floor: float = 0.0,
+    variance: np.ndarray | None = None,
+    weight: np.ndarray | None = None,
+    offsets: Sequence[np.ndarray] | None = None,
+) -> Screen:
+    """All windows against a model and the whole library; what ``original`` lacks counts as added."""
+    groups = (*own_groups(model, original), *library(model, on_body))
+    columns, places = columns_of(groups)
+    offsets = study.settled(model, variance) if offsets is None else offsets
+    responses = study.respond(model, columns, offsets, "screening")
+    variance = study.variance(responses) if variance is None else variance
+    known = evidence(responses, variance)
+    weight = robust_weights(known) if weight is None else weight
+    known = replace(known, weight=weight)
+    scores = screened(known, groups, places, model)
+    chance = float(np.quantile(null_gains(known, groups, places, model), 0.99))
+    needed = max(LEAST_GAIN, OVER_BASE * floor, chance)
+    return Screen(model, groups, places, responses, variance, known, scores, needed)
+
+
+def finalists(scores: Sequence[Score], needed: float) -> list[Score]:
+    """The explanations worth a refit: those near the best, and other laws of the same family."""
+    best = max(scores, key=lambda score: score.gain)
+    if best.gain < needed:
+        return []
+    near = [s for s in scores if s.gain >= max(_CLOSE * best.gain, 0.5 * needed) and s.wald >= LEAST_WALD]
+    return near[:FINALISTS]
+
+
+def _next_term(study: Study, found: Search) -> Term | None:
+    last = found.screens[-1]
+    near = finalists(last.scores, last.needed)
+    if not near:
+        return None
+    before = () if found.fit is None else found.fit.columns
+    fits = {score.group.label: _fitted(study, last, score, before, rounds=1) for score in near}
+    ahead = sorted(fits, key=lambda label: fits[label].misfit - fits[label].promise)
+    for label in ahead[:2]:
+        if fits[label].misfit - fits[label].promise < min(f.misfit for f in fits.values()):
+            fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
+    fall = last.misfit - min(f.misfit for f in fits.values())
+    if fall < (_SECOND if found.terms else last.needed) * last.misfit:
+        return None
+    equal = [score for score in near if last.misfit - fits[score.group.label].misfit >= _TIE * fall]
+    chosen = min(equal, key=lambda score: (score.size, fits[score.group.label].misfit)).group
+    return Term(chosen, fits[chosen.label], {label: f.misfit for label, f in fits.items()})
+
+
+def _fitted(study: Study, last: Screen, score: Score, before: Sequence[Column], rounds: int) -> Fit:
+    """An explanation refitted beside those accepted before, by a few steps."""
+    every, _ = columns_of(last.groups)
+    columns = (*before, *(column for column in score.group.columns if column not in before))
+    responses = picked(last.responses, [every.index(column) for column in columns])
+    what = f"trying {score.group.label}"
+    return fit(study, last.model, columns, responses, last.variance, last.evidence.weight, what, rounds)
+
+
+def _eliminate(study: Study, found: Search) -> None:
+    """Take back accepted effects whose loss costs next to nothing once the others are refitted."""
+    if len(found.terms) < 2 or found.fit is None:
+        return
+    first = found.screens[0]
+    for term in list(found.terms[:-1]):
+        label = term.group.label
+        others = [t for t in found.terms if t is not term]
+        columns = tuple(c for group in (t.group for t in others) for c in group.columns)
+        start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
+        offsets = [best_offset(r, first.variance, np.zeros(len(found.fit.columns))) for r in found.fit.responses]
+        responses = study.respond(start, columns, offsets, f"without {label}")
+        without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
+        if without.misfit - found.fit.misfit < _DISPENSABLE * first.misfit:
+            found.removed.append(label)
+            found.terms, found.fit = others, without
