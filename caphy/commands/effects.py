@@ -1,11 +1,12 @@
-"""``caphy effects list|show|check|new``."""
+"""``caphy effects list|show|check|new|history``."""
 
 from __future__ import annotations
 
 import inspect
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import numpy as np
 import tyro
@@ -13,6 +14,10 @@ import tyro
 from caphy.effects.base import Effect, Group, needs
 from caphy.effects.registry import find_effect, register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
+from caphy.io.bundle import MANIFEST
+
+if TYPE_CHECKING:
+    from caphy.effects.model import Model
 
 EffectFiles = tuple[Path, ...]
 
@@ -59,6 +64,16 @@ class New:
     """Your other effects, as Python files."""
 
 
+@dataclass(frozen=True)
+class History:
+    """Show how a physics model came to be: what each revision changed, and what that did to the error."""
+
+    model: Annotated[Path, tyro.conf.Positional]
+    """A model's JSON, the folder of a training, or the folder of an avatar."""
+    effect_file: EffectFiles = ()
+    """Your own effects, as Python files."""
+
+
 def main(arguments: list[str]) -> int:
     """Run ``caphy effects`` with the arguments after it."""
     command = tyro.cli(
@@ -67,6 +82,7 @@ def main(arguments: list[str]) -> int:
             | Annotated[Show, tyro.conf.subcommand("show")]
             | Annotated[Check, tyro.conf.subcommand("check")]
             | Annotated[New, tyro.conf.subcommand("new")]
+            | Annotated[History, tyro.conf.subcommand("history")]
         ],
         args=arguments,
         prog="caphy effects",
@@ -81,6 +97,8 @@ def main(arguments: list[str]) -> int:
             print("\n\n".join(_description(find_effect(name)) for name in command.names))
         case Check():
             return _check(command.names or tuple(own) or tuple(registered_effects()))
+        case History(path):
+            print("\n".join(_histories(path)))
         case New(name, output):
             path = output or Path(f"{name}.py")
             write_scaffold(name, path)
@@ -89,9 +107,35 @@ def main(arguments: list[str]) -> int:
 
 
 def _table(rows: list[tuple[str, ...]]) -> None:
+    print("\n".join(_lines(rows)))
+
+
+def _lines(rows: list[tuple[str, ...]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _histories(path: Path) -> list[str]:
+    """Lines about a model's history, or of each garment's of an avatar."""
+    from caphy.effects.model import Model
+
+    if not (path / MANIFEST).is_file():
+        return _history(Model.load(path / "model.json" if path.is_dir() else path))
+    from caphy.io.bundle import read_bundle
+
+    lines: list[str] = []
+    for name, facts in read_bundle(path).provenance.get("garments", {}).items():
+        lines += [f"{name}:", *_history(Model.from_json(json.dumps(facts.get("model", {})), f"{path}: {name}"))]
+    return lines
+
+
+def _history(model: Model) -> list[str]:
+    from caphy.effects.history import history_rows
+
+    effects = f"{', '.join(model.effects)}; {model.density:.4g} kg/m^2"
+    if not model.history:
+        return [effects, "no revisions: it is as it was first written"]
+    return [effects, *_lines(history_rows(model.history))]
 
 
 def _effect_rows() -> list[tuple[str, ...]]:

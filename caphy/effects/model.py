@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import datetime
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from caphy.effects.base import needs
+from caphy.effects.history import Revision, changes
 from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 
@@ -39,10 +41,14 @@ def checked_values(effect_name: str, given: Mapping[str, object]) -> dict[str, n
 
 @dataclass(frozen=True)
 class Model:
-    """An area density [kg/m^2] and the effects that act, name -> parameter values."""
+    """An area density [kg/m^2] and the effects that act, name -> parameter values.
+
+    ``history`` tells how it came to be, oldest revision first; it changes nothing and has no part in equality.
+    """
 
     density: float
     effects: Mapping[str, ParameterValues] = field(default_factory=dict)
+    history: tuple[Revision, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.density) and self.density > 0):
@@ -54,6 +60,12 @@ class Model:
                 raise CaphyError(f"{name} needs {needs(effect)} in the same model; add it")
         object.__setattr__(self, "effects", checked)
 
+    def __eq__(self, other: object) -> bool:
+        """Whether the physics is the same: effects and values, in whatever order, by whatever history."""
+        if not isinstance(other, Model):
+            return NotImplemented
+        return self.effects.keys() == other.effects.keys() and not changes(self.values(), other.values())
+
     def with_effect(self, name: str, **values: object) -> Model:
         """This model with an effect added or its parameters replaced."""
         return replace(self, effects={**self.effects, name: {**self.effects.get(name, {}), **values}})
@@ -62,20 +74,51 @@ class Model:
         """This model without an effect."""
         return replace(self, effects={key: value for key, value in self.effects.items() if key != name})
 
+    def values(self) -> dict[str, object]:
+        """All parameter values in one mapping, "density" and "effect.parameter" -> value."""
+        named = ((f"{name}.{key}", v) for name, values in self.effects.items() for key, v in values.items())
+        return {"density": self.density, **dict(named)}
+
+    def revised(
+        self, since: Model, note: str, *, data: Sequence[str] = (), error_before: float | None = None,
+        error_after: float | None = None, floor: float | None = None, date: str | None = None,
+    ) -> Model:  # fmt: skip
+        """This model with the history of ``since``, the model it was made from, and one more revision.
+
+        Effects added and removed and parameters changed are found by comparison. ``data`` names the measurements it
+        was made with; errors are medians over held-out vertices [m]; the date is today's unless given.
+        """
+        revision = Revision(
+            datetime.date.today().isoformat() if date is None else date,
+            note,
+            tuple(name for name in self.effects if name not in since.effects),
+            tuple(name for name in since.effects if name not in self.effects),
+            changes(since.values(), self.values()),
+            tuple(data),
+            error_before,
+            error_after,
+            floor,
+        )
+        return replace(self, history=(*since.history, revision))
+
     def to_json(self) -> str:
         """Readable, diffable text form."""
         effects = {
             name: {key: np.asarray(value).tolist() for key, value in values.items()}
             for name, values in self.effects.items()
         }
-        return json.dumps({"schema": 1, "density_kg_per_m2": self.density, "effects": effects}, indent=2)
+        document: dict[str, object] = {"schema": 1, "density_kg_per_m2": self.density, "effects": effects}
+        if self.history:
+            document["history"] = [revision.to_dict() for revision in self.history]
+        return json.dumps(document, indent=2)
 
     @classmethod
     def from_json(cls, text: str, source: str = "model") -> Model:
         """Inverse of :meth:`to_json`; ``source`` names the file in errors."""
         try:
             data = json.loads(text)
-            return cls(float(data["density_kg_per_m2"]), data["effects"])
+            history = tuple(Revision.from_dict(entry) for entry in data.get("history", ()))
+            return cls(float(data["density_kg_per_m2"]), data["effects"], history)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise CaphyError(f"{source}: not a physics model: {error!r}; see 'caphy effects show'") from error
         except CaphyError as error:

@@ -1,0 +1,118 @@
+"""How a model came to be: its revisions, what each changed, and what that did to the error on held-out data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from caphy.errors import CaphyError
+
+Value = Any
+"""A parameter's value as JSON has it: a number or nested lists of numbers, None where the parameter was not there."""
+
+
+@dataclass(frozen=True)
+class Revision:
+    """One change of a model. It says what happened and has no part in the physics.
+
+    Attributes:
+        date: day of the change, ISO 8601.
+        note: what was done and why, in words.
+        added, removed: names of effects.
+        parameters: "effect.parameter" or "density" -> values before and after, None where there was none.
+        data: names of the measurements it was made with.
+        error_before, error_after: median vertex error on held-out data before and after [m], or none.
+        floor: what noise, restarts and time step alone would leave of that error [m], or none.
+    """
+
+    date: str
+    note: str
+    added: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    parameters: Mapping[str, tuple[Value, Value]] = field(default_factory=dict)
+    data: tuple[str, ...] = ()
+    error_before: float | None = None
+    error_after: float | None = None
+    floor: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready form; errors in millimetres, under names that say so."""
+        errors = {"before": self.error_before, "after": self.error_after, "floor": self.floor}
+        return {
+            "date": self.date,
+            "note": self.note,
+            "added": list(self.added),
+            "removed": list(self.removed),
+            "parameters": {name: list(values) for name, values in self.parameters.items()},
+            "data": list(self.data),
+            "held_out_error_mm": {name: None if e is None else round(1e3 * e, 4) for name, e in errors.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Revision:
+        """Inverse of :meth:`to_dict`; raises CaphyError where it does not follow it."""
+        try:
+            errors = {name: _metres(data["held_out_error_mm"][name]) for name in ("before", "after", "floor")}
+            parameters = {str(name): (before, after) for name, (before, after) in data["parameters"].items()}
+            names = (tuple(map(str, data[key])) for key in ("added", "removed", "data"))
+            added, removed, measured = names
+            return cls(
+                str(data["date"]), str(data["note"]), added, removed, parameters, measured,
+                errors["before"], errors["after"], errors["floor"],
+            )  # fmt: skip
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise CaphyError(
+                f"its history holds an entry that is no revision ({error!r}); mend it or delete 'history'"
+            ) from error
+
+
+def changes(before: Mapping[str, Value], after: Mapping[str, Value]) -> dict[str, tuple[Value, Value]]:
+    """What differs between two flat sets of values, name -> (before, after), None where there is none."""
+    names = dict.fromkeys([*before, *after])
+    pairs = {name: (_plain(before.get(name)), _plain(after.get(name))) for name in names}
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def history_rows(history: Iterable[Revision]) -> list[tuple[str, ...]]:
+    """A table for people, one row per revision below a row of headings."""
+    rows = [("", "date", "what was done", "change", "held-out error [mm]", "floor [mm]", "data")]
+    for number, revision in enumerate(history, 1):
+        before, after = revision.error_before, revision.error_after
+        error = "-" if before is None and after is None else f"{_millimetres(before)} -> {_millimetres(after)}"
+        moved = [*(f"+{name}" for name in revision.added), *(f"-{name}" for name in revision.removed)]
+        moved += [f"{name} {_short(a)} -> {_short(b)}" for name, (a, b) in revision.parameters.items() if b is not None]
+        floor, data = _millimetres(revision.floor), ", ".join(revision.data) or "-"
+        first, *rest = moved or ["-"]
+        rows.append((str(number), revision.date, revision.note, first, error, floor, data))
+        rows += [("", "", "", line, "", "", "") for line in rest]
+    return rows
+
+
+def _metres(value: Any) -> float | None:
+    if value is None:
+        return None
+    if not math.isfinite(value) or value < 0:
+        raise ValueError(f"an error must be finite and not negative, got {value}")
+    return float(value) / 1e3
+
+
+def _plain(value: Value) -> Value:
+    return None if value is None else np.asarray(value, dtype=float).tolist()
+
+
+def _millimetres(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.2f}"
+
+
+def _short(value: Value) -> str:
+    """A parameter's value in a few characters; tables by their size."""
+    if value is None:
+        return "none"
+    array = np.asarray(value)
+    if array.size > 4:
+        return f"{'x'.join(map(str, array.shape))} values"
+    return f"{array:g}" if array.ndim == 0 else f"({', '.join(f'{entry:g}' for entry in array.ravel())})"
