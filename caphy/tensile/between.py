@@ -7,6 +7,7 @@ from the others as the first one does, so the null exchanges the first loading w
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,8 +19,8 @@ from caphy.tensile.numbers import Number, added
 from caphy.tensile.search import Ranked
 
 LEAST_GAIN = 0.1
-CHANCE = 0.02
-_PERMUTATIONS = 400
+CHANCE = 0.05
+_EXCHANGES = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +68,8 @@ def _contrast(fabric: str, test: Tests, slopes: np.ndarray, bounds: np.ndarray) 
     if sum(used) < 2 or all(used):
         return None
     stack = np.stack([loading.measured for loading in test.loadings]) / test.scatter
-    known = np.isfinite(stack).all(axis=0, keepdims=True)[0]
-    response = slopes[used].mean(0) * known[:, :, None] / np.sqrt(1 + 1 / sum(used))
+    known = np.asarray(np.isfinite(stack).all(axis=0))
+    response = slopes[used].mean(0) * known[..., None] / np.sqrt(1 + 1 / sum(used))
     flat = np.where(known, stack, 0.0).reshape(len(stack), -1)
     return Contrast(fabric, flat, used.index(False), response.reshape(flat.shape[1], -1), bounds)
 
@@ -79,12 +80,7 @@ def between_loadings(fits: dict[str, Fit], candidates: Sequence[str]) -> list[Ra
     if not sets or not all(sets.values()):
         return []
     gains = {name: _gain(rows, [row.first for row in rows]) for name, rows in sets.items()}
-    random, best = np.random.default_rng(0), []
-    rows = next(iter(sets.values()))
-    for _ in range(_PERMUTATIONS):
-        first = [int(random.integers(len(row.stack))) for row in rows]
-        best.append(max(_mean(_gain(some, first)) for some in sets.values()))
-    threshold = max(float(np.quantile(best, 1 - CHANCE)), LEAST_GAIN)
+    threshold = max(_threshold(list(sets.values())), LEAST_GAIN)
     ranked = [
         Ranked(name, _mean(gain), gain, threshold, used=True, count=len(added(name, used=True)))
         for name, gain in gains.items()
@@ -121,21 +117,40 @@ def _mean(gains: dict[str, float]) -> float:
     return float(np.mean(list(gains.values())))
 
 
+def _threshold(sets: Sequence[Sequence[Contrast]]) -> float:
+    """Gain that the best candidate must exceed for a chance below :data:`CHANCE` (Fisher's exact test); infinite where
+    there are too few loadings for any."""
+    rows = sets[0]
+    true = tuple(row.first for row in rows)
+    count = int(np.prod([len(row.stack) for row in rows], dtype=float))
+    if count <= _EXCHANGES:
+        exchanges = list(itertools.product(*(range(len(row.stack)) for row in rows)))
+    else:
+        random = np.random.default_rng(0)
+        exchanges = [tuple(int(random.integers(len(row.stack))) for row in rows) for _ in range(_EXCHANGES)]
+    others = [first for first in exchanges if first != true]
+    above = int(CHANCE * (len(others) + 1)) - 1
+    if above < 0:
+        return float("inf")
+    gains = sorted((max(_mean(_gain(some, first)) for some in sets) for first in others), reverse=True)
+    return gains[above]
+
+
 def _gain(rows: Sequence[Contrast], first: Sequence[int]) -> dict[str, float]:
-    """Share of the squared difference that numbers learned from the fabric's other direction foretell, by fabric.
+    """Fall of the squared difference that numbers learned from the fabric's other direction foretell, by fabric, where
+    loading ``first`` of each is set against the others; as a share of the difference of the true first loadings.
 
     Where a fabric has one direction, from other fabrics; where there is only one test, from that test itself.
     """
     differences = [row.difference(k) for row, k in zip(rows, first, strict=True)]
     normal = [row.response.T @ row.response for row in rows]
     right = [row.response.T @ d for row, d in zip(rows, differences, strict=True)]
-    left: dict[str, float] = {}
-    whole: dict[str, float] = {}
+    fall, whole = (dict.fromkeys([row.fabric for row in rows], 0.0) for _ in range(2))
     for i, row in enumerate(rows):
         others = [j for j, other in enumerate(rows) if j != i and other.fabric == row.fabric]
         others = others or [j for j in range(len(rows)) if j != i] or [i]
         values = _solved([normal[j] for j in others], [right[j] for j in others], row.bounds)
-        error = differences[i] - row.response @ values
-        left[row.fabric] = left.get(row.fabric, 0.0) + float(error @ error)
-        whole[row.fabric] = whole.get(row.fabric, 0.0) + float(differences[i] @ differences[i])
-    return {fabric: 1 - left[fabric] / max(whole[fabric], 1e-12) for fabric in left}
+        error, true = differences[i] - row.response @ values, row.difference()
+        fall[row.fabric] += float(differences[i] @ differences[i] - error @ error)
+        whole[row.fabric] += float(true @ true)
+    return {fabric: fall[fabric] / max(whole[fabric], 1e-12) for fabric in fall}

@@ -24,7 +24,7 @@ def usable(curves: Sequence[ForceCurve]) -> tuple[list[ForceCurve], list[str]]:
     checked = [_checked(curve) for curve in curves]
     cautions, kept = [], []
     for curve in checked:
-        start = float(np.median(curve.force[:3]))
+        start = float(curve.force[:3].min())
         if start > _PRELOAD * curve.force.max():
             cautions.append(
                 f"{_where(curve)} begins under {start:.0f} N/m, so its length at no load is unknown; it is left out."

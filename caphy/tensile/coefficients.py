@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.tensile.between import contrasts, learned
 from caphy.tensile.fit import Fit
-from caphy.tensile.search import deviations, drawn
+from caphy.tensile.null import deviations, drawn
 
 _DRAWS = 400
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from caphy.tensile.fit import Bench, Fit
-from caphy.tensile.loadings import Loading, Tests
+from caphy.tensile.loadings import Loading, Tests, rows_of
 
 STAGES = ("as given", "parameters", "with effects")
 
@@ -34,11 +34,6 @@ class CurveError:
 
     def relative(self, stage: str) -> float:
         return self.rms[stage] / self.force
-
-
-def rows_of(tests: Sequence[Tests]) -> list[tuple[Tests, Loading]]:
-    """Loadings in the order of residuals."""
-    return [(test, loading) for test in tests for loading in test.loadings]
 
 
 def curve_errors(

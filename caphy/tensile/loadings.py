@@ -81,6 +81,11 @@ Fabrics = dict[str, list[Tests]]
 """The tests of each fabric."""
 
 
+def rows_of(tests: Sequence[Tests]) -> list[tuple[Tests, Loading]]:
+    """Loadings in the order of residuals."""
+    return [(test, loading) for test in tests for loading in test.loadings]
+
+
 def prepared(curves: Sequence[ForceCurve]) -> tuple[Fabrics, list[str]]:
     """Tests by fabric, and what was left out or doubtful in sentences; raises :class:`CaphyError` on bad input."""
     kept, cautions = usable(curves)

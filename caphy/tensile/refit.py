@@ -12,7 +12,7 @@ from caphy.io.measurements import ForceCurve
 from caphy.tensile.between import between_loadings
 from caphy.tensile.candidates import HISTORY, Candidates, candidates
 from caphy.tensile.diagnosis import CurveDiagnosis, answer, split, started
-from caphy.tensile.search import Progress, numbers_of
+from caphy.tensile.search import numbers_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,6 @@ def refit_curves(
     curves: Sequence[ForceCurve],
     held_out: Sequence[ForceCurve] = (),
     add: Sequence[str] = (),
-    progress: Progress | None = None,
 ) -> CurveRefit:
     """Fit the model's own numbers and those of added effects to tensile tests, for each fabric by itself.
 
@@ -71,7 +70,7 @@ def refit_curves(
         if name not in accepted:
             refused[name] = f"{name} is not kept: the first loading differs from repeats by no more than chance."
     used = [name for name in history if name in accepted]
-    outcome = answer(search, seen, names, used, learning, held, cautions, (), progress)
+    outcome = answer(search, seen, names, used, learning, held, cautions, (), names)
     return CurveRefit((*names, *used), refused, outcome)
 
 

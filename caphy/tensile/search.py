@@ -8,12 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from caphy.tensile.fit import Bench, Fit, fitted
-from caphy.tensile.loadings import Tests
+from caphy.tensile.null import DRAWS, drawn, outside
 from caphy.tensile.numbers import Number, added, changed
 
 LEAST_GAIN = 0.03
 """Smallest share of the squared error of loadings left out that an effect must remove."""
-DRAWS = 200
 _NEAR, _SHARE = 0.03, 0.9
 _ALONE = 1e-3  # share of a number's response that no other explains, below which tests cannot tell it
 
@@ -27,7 +26,7 @@ class Ranked:
     Attributes:
         gain: share of the squared error of loadings left out that it removes, mean over fabrics.
         gains: the same by fabric.
-        threshold: gain that the best of the library reaches by chance in one of a hundred cases.
+        threshold: gain that the best of the library may reach by chance.
         used: it acts from the second loading on.
     """
 
@@ -62,11 +61,19 @@ class Search:
         key = fabric, numbers
         if key not in self._fits:
             bench = self.benches[fabric]
-            if not extra:
-                self._fits[key] = fitted(bench, numbers)
-            else:
-                self._fits[key] = _extended(self.fit(fabric), bench, tuple(extra))
+            tried = [_extended(near, bench, self.base, tuple(extra)) for near in self._nearer(fabric, extra)]
+            self._fits[key] = min(tried, key=lambda fit: fit.misfit) if extra else fitted(bench, numbers)
         return self._fits[key]
+
+    def _nearer(self, fabric: str, extra: Sequence[Number]) -> list[Fit]:
+        """Fits to start from, since wide strains have several minima: the parameters alone, and the best so far with
+        some of these numbers and no others."""
+        if not extra:
+            return []
+        first, allowed = self.fit(fabric), {*self.base, *extra}
+        some = [fit for (name, numbers), fit in self._fits.items() if name == fabric and set(numbers) < allowed]
+        best = min(some, key=lambda fit: fit.misfit)
+        return [first] if best is first else [first, best]
 
     def fits(self, extra: Sequence[Number] = ()) -> dict[str, Fit]:
         return {fabric: self.fit(fabric, extra) for fabric in self.benches}
@@ -76,12 +83,18 @@ class Search:
         return {f: 1 - self.fit(f, new).foretold / max(self.fit(f, old).foretold, 1e-12) for f in fabrics}
 
     def chosen(
-        self, candidates: Sequence[str], fabrics: Sequence[str], progress: Progress | None = None
+        self,
+        candidates: Sequence[str],
+        fabrics: Sequence[str],
+        progress: Progress | None = None,
+        start: Sequence[str] = (),
     ) -> tuple[list[str], list[Ranked]]:
-        """Names of effects that pass, in order, and the ranking of the first round."""
-        names: list[str] = []
+        """Names of effects that pass, in order, after those to start with; and the ranking of the first round."""
+        names: list[str] = self.without_useless(start, fabrics)
         first: list[Ranked] = []
         for _ in candidates:
+            if names and not any(outside(self.fit(f, numbers_of(names))) for f in fabrics):
+                break
             ranking = self._ranking(names, [c for c in candidates if c not in names], fabrics, progress)
             first = first or ranking
             best = _simplest(ranking)
@@ -107,17 +120,19 @@ class Search:
         return sorted(ranked, key=lambda row: -row.gain)
 
     def _threshold(self, old: Sequence[Number], candidates: Sequence[str], fabrics: Sequence[str]) -> float:
-        """99 % of the largest gain of any candidate where loadings differ from the fit by what repeats differ by."""
+        """What the largest gain stays below in 99 of 100 cases where loadings differ from the fit only by what repeats
+        differ by; the fall is drawn, the error that it is a share of is the one there is."""
         if not candidates:
             return 0.0
         random = np.random.default_rng(0)
         draws = {f: np.stack([drawn(self.benches[f], random) for _ in range(DRAWS)]) for f in fabrics}
         before = np.stack([foretold(self.fit(f, old).slopes, draws[f]) for f in fabrics])
+        there = np.array([max(self.fit(f, old).foretold, 1e-12) for f in fabrics])
         best = np.full(DRAWS, -np.inf)
         for candidate in candidates:
             new = (*old, *added(candidate))
             after = np.stack([foretold(self.fit(f, new).slopes, draws[f]) for f in fabrics])
-            best = np.maximum(best, (1 - after / before).mean(0))
+            best = np.maximum(best, ((before - after) / there[:, None]).mean(0))
         return float(np.quantile(best, 0.99))
 
     def mean_gain(self, old: Sequence[Number], new: Sequence[Number], fabrics: Sequence[str]) -> float:
@@ -144,12 +159,12 @@ def numbers_of(names: Sequence[str], used: bool = False) -> tuple[Number, ...]:
     return tuple(number for name in names for number in added(name, used))
 
 
-def _extended(base: Fit, bench: Bench, extra: tuple[Number, ...]) -> Fit:
-    """The fit with further numbers. Those of the model's own that the further ones can replace are held where they
-    are, since the tests cannot tell them from these (Lame's mu from weft and warp stiffness)."""
-    start = np.array([*base.values, *(number.start(bench.model) for number in extra)])
-    numbers = (*base.numbers, *extra)
-    held = _replaced(bench.slopes(numbers, start).reshape(-1, len(numbers)), len(base.numbers))
+def _extended(near: Fit, bench: Bench, base: tuple[Number, ...], extra: tuple[Number, ...]) -> Fit:
+    """The fit with further numbers, from a fit with fewer. Those of the model's own that the further ones can replace
+    are held where they are, since the tests cannot tell them from these (Lame's mu from weft and warp stiffness)."""
+    numbers, known = (*base, *extra), dict(zip(near.numbers, near.values, strict=True))
+    start = np.array([known.get(number, number.start(near.bench.model)) for number in numbers])
+    held = _replaced(bench.slopes(numbers, start).reshape(-1, len(numbers)), len(base))
     kept = [k for k in range(len(numbers)) if k not in held]
     model = changed(bench.model, [numbers[k] for k in held], start[held])
     return fitted(replace(bench, model=model), [numbers[k] for k in kept], start[kept])
@@ -164,30 +179,6 @@ def _replaced(slopes: np.ndarray, own: int) -> list[int]:
         if (left**2).sum() <= _ALONE * (slopes[:, k] ** 2).sum():
             held.append(k)
     return sorted(held)
-
-
-def drawn(bench: Bench, random: np.random.Generator) -> np.ndarray:
-    """What repeats differ by, drawn anew for every loading, over their scatter (L, 2, B)."""
-    rows = []
-    for test in bench.tests:
-        off = deviations(test)
-        rows.append(off[random.integers(0, len(off), len(test.loadings))])
-    return np.concatenate(rows)
-
-
-def deviations(test: Tests) -> np.ndarray:
-    """Repeats less their mean over their scatter (n, 2, B), widened for the freedom that the mean took; 0 unmeasured.
-
-    Where there are no repeats, independent draws stand for them.
-    """
-    repeats = [loading for loading in test.loadings if loading.used]
-    repeats = repeats if len(repeats) > 1 else list(test.loadings)
-    if len(repeats) < 2:
-        return np.random.default_rng(0).normal(size=(8, 2, 1)) * np.isfinite(test.loadings[0].measured)
-    stack = np.stack([loading.measured for loading in repeats]) / test.scatter
-    count = np.maximum(np.isfinite(stack).sum(0), 1)
-    off = np.nan_to_num(stack - np.nansum(stack, 0) / count)
-    return off * np.sqrt(len(repeats) / (len(repeats) - 1))
 
 
 def foretold(slopes: np.ndarray, residual: np.ndarray) -> np.ndarray:

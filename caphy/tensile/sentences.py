@@ -9,6 +9,10 @@ from caphy.effects.registry import find_effect
 if TYPE_CHECKING:
     from caphy.tensile.diagnosis import CurveDiagnosis
 
+_TRANSFER = {
+    "own numbers": "with effects named on the others and numbers from one repeat of each direction",
+    "their numbers": "with the others' relative numbers too and only a stiffness of its own",
+}
 _DEPENDS = 0.1  # share of the residual that a covariate must explain to be named
 
 
@@ -23,8 +27,16 @@ def _verdict(d: CurveDiagnosis) -> str:
     if d.verdict == "parameters":
         return "No effect is missing, but the parameters are off: with the numbers below the model meets the tests."
     named = [_named(name, False) for name in d.found] + [_named(name, True) for name in d.found_used]
+    if d.drift is not None:
+        return (
+            f"None of the known effects explains these tests: the force {'falls' if d.drift < 0 else 'rises'} by "
+            f"{100 * abs(d.drift):.0f} % from each loading to the next, so it depends on the loading number."
+        )
     if d.verdict == "named":
-        return f"Missing: {'; '.join(named)}."
+        doubt = (
+            f" Of these {_listed(d.doubtful)} may stand in for a shape that no known effect has." if d.doubtful else ""
+        )
+        return f"Missing: {'; '.join(named)}.{doubt}"
     partly = f" Nearest: {'; '.join(named)}, but {100 * d.left:.0f} % of the misfit is left." if named else ""
     return f"None of the known effects explains these tests.{partly}"
 
@@ -50,14 +62,21 @@ def _errors(d: CurveDiagnosis) -> list[str]:
 
 
 def _fabrics(d: CurveDiagnosis) -> list[str]:
-    if not d.fabrics or d.verdict == "nothing":
+    if not d.fabrics:
         return []
-    before = sum(row["relative"]["parameters"] for row in d.fabrics.values()) / len(d.fabrics)
-    after = sum(row["relative"]["with effects"] for row in d.fabrics.values()) / len(d.fabrics)
-    return [
-        f"Fabrics that were left out, with one number for their stiffness and the others' relative structure: "
-        f"{100 * before:.0f} % before, {100 * after:.0f} % after (mean of {len(d.fabrics)})."
-    ]
+    sentences = []
+    for key, how in _TRANSFER.items():
+        middle = {
+            stage: sum(row[key]["relative"][stage] for row in d.fabrics.values()) / len(d.fabrics)
+            for stage in ("parameters", "with effects")
+        }
+        before, after = (100 * middle[stage] for stage in ("parameters", "with effects"))
+        verb = "falls" if after < before else "rises"
+        sentences.append(
+            f"On fabrics that were left out, {how}, the error {verb} from {before:.0f} % to {after:.0f} % "
+            f"(mean of {len(d.fabrics)})."
+        )
+    return sentences
 
 
 def _left(d: CurveDiagnosis) -> list[str]:
@@ -65,7 +84,14 @@ def _left(d: CurveDiagnosis) -> list[str]:
         return []
     shares = d.dependence.shares
     single = {k: v for k, v in shares.items() if " " not in k or k == "loading number"}
-    sentences = [f"Unexplained: {100 * d.left:.0f} % of the squared misfit that refitted parameters leave."]
+    if d.complete:
+        return ["What is left is within the scatter between repeats."]
+    sentences = [
+        f"Part of it is none of the known effects: {100 * d.left:.0f} % of the squared misfit that refitted parameters "
+        "leave remains."
+    ]
+    if d.doubtful:
+        sentences.append(f"Until that has a name, {_listed(d.doubtful)} may be standing in for it.")
     largest = max(shares, key=lambda name: shares[name])
     if shares[largest] > _DEPENDS:
         alone = max(single, key=lambda name: single[name])
@@ -74,3 +100,7 @@ def _left(d: CurveDiagnosis) -> list[str]:
             f"What is left is a function of {largest} ({100 * shares[largest]:.0f} % of its squares){more}."
         )
     return [*sentences, *d.dependence.sentences[:4]]
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

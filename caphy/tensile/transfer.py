@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
-from caphy.tensile.errors import rows_of
+from caphy.tensile.errors import held_out_residual
 from caphy.tensile.fit import Bench, Fit
+from caphy.tensile.loadings import Tests, rows_of
+from caphy.tensile.numbers import Number
+from caphy.tensile.search import Search, numbers_of
 
 _STRAIN = 0.1  # at which the stiffness of fabrics is compared
 
@@ -70,6 +74,28 @@ def transferred(bench: Bench, structure: tuple[Model, Model]) -> tuple[np.ndarra
         said = measured - residual[learning, 0]
         scale *= float(said @ measured / max(said @ said, 1e-300))
     return _residual(bench, structure, scale), scale
+
+
+def few_shot(
+    bench: Bench, base: tuple[Number, ...], names: Sequence[str], held: tuple[tuple[Number, float], ...]
+) -> tuple[list[Tests], dict[str, np.ndarray]]:
+    """Effects named on other fabrics, their numbers fitted to one repeat of each direction of a new one.
+
+    What used cloth has comes from the other fabrics (``held``).
+
+    Returns:
+        all its other loadings, and their residuals (L, 2, B) with its parameters and with the effects.
+    """
+    learning, rest = [], []
+    for test in bench.tests:
+        one = next((x for x in test.loadings if x.used), test.loadings[0])
+        learning.append(replace(test, loadings=(one,)))
+        others = tuple(x for x in test.loadings if x is not one)
+        rest += [replace(test, loadings=others)] if others else []
+    plain = Search({"": replace(bench, tests=learning, held=())}, base).fit("")
+    named = Search({"": replace(bench, tests=learning, held=held)}, base).fit("", numbers_of(names))
+    stages = {"parameters": plain, "with effects": named}
+    return rest, {stage: held_out_residual(fit, rest) for stage, fit in stages.items()}
 
 
 def _residual(bench: Bench, structure: tuple[Model, Model], scale: float) -> np.ndarray:

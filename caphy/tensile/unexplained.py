@@ -2,44 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from caphy.tensile.errors import rows_of
-from caphy.tensile.fit import Bench, Fit
-from caphy.tensile.loadings import Tests
-from caphy.tensile.search import DRAWS, drawn
+from caphy.tensile.fit import Fit
+from caphy.tensile.loadings import Tests, rows_of
+from caphy.tensile.null import chance, systematic
 
-_SAFETY = 2.0  # on the null's 99 %, which few repeats know badly
 _PARTS = (("small", 0, 8), ("middle", 8, 16), ("large", 16, 24))
+_LEAST_LOADINGS, _STEADY = 4, 0.9  # loadings, and correlation of force with their number, for a drift
 _LEAST = 0.05  # of the force, to be worth a sentence
-
-
-def systematic(bench: Bench, residual: np.ndarray) -> float:
-    """Mean square of what loadings of one direction and history have in common (1 if it is scatter)."""
-    total, entries = 0.0, 0
-    for rows in _alike(bench):
-        mean = residual[rows].mean(0)
-        total += len(rows) * float((mean**2).sum())
-        entries += int(np.count_nonzero(residual[rows].any(0)))
-    return total / max(entries, 1)
-
-
-def _alike(bench: Bench) -> list[list[int]]:
-    """Loadings of the same direction and history."""
-    groups: dict[tuple[str, bool], list[int]] = {}
-    for i, (test, loading) in enumerate(rows_of(bench.tests)):
-        groups.setdefault((test.direction, loading.used), []).append(i)
-    return list(groups.values())
-
-
-def chance(bench: Bench) -> float:
-    """What :func:`systematic` stays below where a model is right."""
-    random = np.random.default_rng(1)
-    draws = [systematic(bench, drawn(bench, random)) for _ in range(DRAWS)]
-    return _SAFETY * float(np.quantile(draws, 0.99))
 
 
 @dataclass(frozen=True)
@@ -130,12 +104,18 @@ def share_left(fits: Mapping[str, Fit], before: Mapping[str, Fit]) -> float:
     return float(np.mean(shares)) if shares else 0.0
 
 
-def outside(bench: Bench, residual: np.ndarray) -> bool:
-    """Whether a model is further from the tests than scatter would have it."""
-    return systematic(bench, residual) > chance(bench)
-
-
-def parts_of(sequence: Sequence[str]) -> str:
-    """Names in a sentence."""
-    names = list(sequence)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+def drift(fits: Mapping[str, Fit]) -> float | None:
+    """Relative change of force from one loading to the next, where it goes one way in all directions of all fabrics."""
+    slopes: list[float] = []
+    for fit in fits.values():
+        for test in fit.bench.tests:
+            if len(test.loadings) < _LEAST_LOADINGS:
+                continue
+            force = np.array([np.nanmean(loading.force) for loading in test.loadings])
+            number = np.array([loading.curve.loading for loading in test.loadings], dtype=float)
+            if not abs(np.corrcoef(number[1:], force[1:])[0, 1]) > _STEADY:
+                return None
+            slopes.append(float(np.polyfit(number, np.log(np.maximum(force, 1e-9)), 1)[0]))
+    if not slopes or min(map(abs, slopes)) < _LEAST or min(slopes) * max(slopes) < 0:
+        return None
+    return float(np.expm1(np.mean(slopes)))
