@@ -1,0 +1,70 @@
+"""Which effects these measurements cannot tell apart, and what would."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from caphy.diagnose.groups import Group
+from caphy.diagnose.search import Search, Term
+
+ALIKE = 0.9
+"""Share of an effect's response, as a cosine, that another effect can copy to count as the same."""
+
+_APART = 0.8  # of the fall of the misfit: another explanation that reaches less was refitted and is out
+
+SEPARATES = {
+    frozenset(("wind", "external")): "turn the subject or the cloth by 90 degrees: wind turns with its normals, weight "
+    "does not",
+    frozenset(("wind", "drag")): "measure the cloth hanging still: only wind pushes it then",
+    frozenset(("wind", "other")): "measure two opposite facings: pressure turns with the cloth, wind does not",
+    frozenset(("drag",)): "measure the same motion at half and at double speed: linear and quadratic laws part",
+    frozenset(("drag", "damping")): "swing the cloth flat through the air, without folding it: only drag acts then",
+    frozenset(("mass", "stiffness")): "weigh the cloth: density and stiffness cannot be told apart by motion alone",
+    frozenset(("mass",)): "weigh the cloth, and its hem",
+    frozenset(("stiffness",)): "pull a strip along weft, along warp and at 45 degrees",
+    frozenset(("stiffness", "rest shape")): "measure the cloth lying flat without load",
+    frozenset(("rest shape",)): "measure the cloth lying flat without load",
+}
+"""What parts effects of two families."""
+
+
+def alike(found: Search, term: Term) -> list[Group]:
+    """The other explanations that these measurements cannot tell from an accepted one."""
+    first, last = found.screens[0], found.screens[-1]
+    normal, _ = last.evidence.normal
+    label, change = _place(found, term, last.places)
+    if label is None:
+        return []
+    mine = last.places[label]
+    wanted = normal[:, mine] @ change
+    size = float(change @ normal[np.ix_(mine, mine)] @ change)
+    fall = first.misfit - min(term.tried.values())
+    similar = []
+    for group in last.groups:
+        if group.name == term.group.name:
+            continue
+        place = last.places[group.label]
+        inner = normal[np.ix_(place, place)] + 1e-9 * np.diag(np.diag(normal)[place]) + 1e-300 * np.eye(len(place))
+        copied = float(wanted[place] @ np.linalg.solve(inner, wanted[place])) / max(size, 1e-300)
+        out = group.label in term.tried and first.misfit - term.tried[group.label] < _APART * fall
+        if copied > ALIKE**2 and not out:
+            similar.append(group)
+    return similar
+
+
+def _place(found: Search, term: Term, places: dict[str, list[int]]) -> tuple[str | None, np.ndarray]:
+    """The label under which the last screen has an accepted effect, and its total change there."""
+    assert found.fit is not None
+    names = [column.name for column in found.fit.columns]
+    wanted = [names.index(column.name) for column in term.group.columns if column.name in names]
+    for label in (f"parameters of {term.group.name}", term.group.name):
+        if label in places and len(places[label]) == len(wanted):
+            return label, found.fit.change[wanted]
+    return None, np.zeros(0)
+
+
+def advice(first: Group, second: Group) -> str:
+    """The motion or measurement that would tell two explanations apart."""
+    families = frozenset((first.family, second.family))
+    general = "measure a motion that is unlike the ones given: other directions, other speeds, and rest"
+    return SEPARATES.get(families, general)

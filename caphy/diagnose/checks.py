@@ -1,0 +1,54 @@
+"""Is this a measurement of this cloth at all? Wrong units, shuffled frames and foreign meshes must not get a name."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.garment.topology import edges
+from caphy.measure.noise import measurement_noise
+from caphy.measure.scene import Scene
+
+_SIZE = (0.6, 1.6)  # median length of an edge over its rest length
+_SPREAD = 2.5  # ratio of the 90th to the 10th percentile of the same
+_TURNS = 0.85  # step to the next frame over step to the one after: 0.5 on a straight path, 1 for shuffled frames
+
+
+def check_cloth(scene: Scene) -> None:
+    """Raises :class:`CaphyError` where a registered measurement cannot be of the scene's cloth in steady motion."""
+    vertices = scene.measurement.vertices
+    if vertices is None:
+        return
+    where = scene.measurement.source or scene.measurement.name
+    _check_edges(vertices, scene, where)
+    _check_order(vertices, scene, where)
+
+
+def _check_edges(vertices: np.ndarray, scene: Scene, where: str) -> None:
+    a, b = edges(scene.garment.faces).T
+    rest = np.linalg.norm(scene.garment.vertices[a] - scene.garment.vertices[b], axis=-1)
+    length = np.linalg.norm(vertices[:, a] - vertices[:, b], axis=-1) / rest
+    low, middle, high = np.nanquantile(length, (0.1, 0.5, 0.9))
+    if not _SIZE[0] < middle < _SIZE[1]:
+        raise CaphyError(
+            f"{where}: the measured edges must be about as long as the cloth's at rest, but their median is "
+            f"{middle:.3g} times that; give metres, and the rest shape of the cloth that was measured"
+        )
+    if high > _SPREAD * low:
+        raise CaphyError(
+            f"{where}: measured vertices must follow the cloth's mesh, but their edges are {low:.2g} to {high:.2g} "
+            "times as long as at rest: vertices in another order, another mesh, or more noise than motion"
+        )
+
+
+def _check_order(vertices: np.ndarray, scene: Scene, where: str) -> None:
+    near = np.linalg.norm(vertices[1:-1] - vertices[:-2], axis=-1)
+    far = np.linalg.norm(vertices[2:] - vertices[:-2], axis=-1)
+    noise = measurement_noise(scene.measurement)
+    moving = far > 6 * (0.0 if noise is None else noise.sigma) + 1e-3
+    ratio = float(np.median(near[moving] / far[moving])) if moving.sum() > 50 else 0.0
+    if ratio > _TURNS:
+        raise CaphyError(
+            f"{where}: neighbouring frames must be near each other, but vertices move {ratio:.2g} times as far in one "
+            "frame as in two: put the frames in order of time"
+        )

@@ -1,0 +1,245 @@
+"""The diagnosis: which physical effect a model lacks, how much of it, how sure that is, and what cannot be told."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from caphy.body.model import BodyModel
+from caphy.diagnose.ambiguity import advice, alike
+from caphy.diagnose.base import Base, from_base
+from caphy.diagnose.checks import check_cloth
+from caphy.diagnose.outside import Outside, outside
+from caphy.diagnose.search import Search, search
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.garment.template import Garment
+from caphy.io.measurements import Measurement
+from caphy.measure.noise import measurement_noise
+from caphy.measure.scene import Scene
+from caphy.refit.heldout import HeldOut, held_out_errors
+from caphy.refit.intervals import half_widths
+from caphy.refit.study import Progress, Study
+
+NOT_WORSE = 0.99
+"""The held-out error must fall at least to this share of what it was, or what was found is taken back."""
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A fitted number: value, interval of 95 % and unit; a relative change has the unit 1."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One explanation as the screen saw it.
+
+    Attributes:
+        label, name: for people; the effect's.
+        own: it is a change of parameters that the model has.
+        gain: share of the misfit gone in windows left out of its fit.
+        wald: squared estimate over squared error.
+        linear: first estimate of each number.
+        refitted: share of the misfit gone after the refit, where it was refitted.
+        noticed: smallest size of each number that would have been noticed here.
+    """
+
+    label: str
+    name: str
+    own: bool
+    gain: float
+    wald: float
+    linear: dict[str, float]
+    refitted: float | None
+    noticed: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What was found.
+
+    Attributes:
+        verdict: "named", "parameters", "nothing" or "none of these".
+        found: names of accepted effects, strongest first.
+        groups: for each accepted effect the explanations that cannot be told from it here, itself first.
+        advice: for each of those pairs, what would tell them apart.
+        ranking: all explanations, best first.
+        coefficients: of accepted effects, by "effect.parameter".
+        model: with everything accepted and fitted.
+        needed: gain that an effect had to reach.
+        windows: how many there were.
+        median_mm: median distance over the windows before and after.
+        held_out: the same on held-out measurements, if there were any.
+        depends_on: what the force that is missing depends on, where no effect of the library explains it.
+        seconds: what it took.
+        search: everything behind it.
+    """
+
+    verdict: str
+    found: tuple[str, ...]
+    groups: dict[str, tuple[str, ...]]
+    advice: dict[str, str]
+    ranking: list[Ranked]
+    coefficients: dict[str, Coefficient]
+    model: Model
+    needed: float
+    windows: int
+    median_mm: tuple[float, float]
+    held_out: HeldOut | None
+    outside: Outside
+    base: Base | None
+    noise_mm: float | None
+    seconds: float
+    search: Search
+    study: Study
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def depends_on(self) -> str | None:
+        """What a missing force depends on, where the library has no name for it."""
+        return self.outside.best if self.verdict == "none of these" else None
+
+
+def diagnose(
+    model: Model,
+    measurements: Sequence[Measurement],
+    base: Sequence[Measurement] = (),
+    held_out: Sequence[Measurement] = (),
+    garment: Garment | None = None,
+    body: BodyModel | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Tell what a model lacks in measurements.
+
+    Args:
+        model: what the user believes.
+        measurements: where it may fail.
+        base: measurements of the same cloth for which the model's effects are trusted: its parameters are fitted to
+            them, and what they leave is what a solver and a mesh leave where nothing is missing.
+        held_out: measurements that nothing is fitted to.
+        garment, body: as in :meth:`caphy.measure.scene.Scene.of`.
+        progress: told what is being done.
+
+    Raises:
+        CaphyError: the measurements do not fit the cloth or are too short.
+    """
+    began = time.perf_counter()
+    if not measurements:
+        raise CaphyError("give at least one measurement to diagnose")
+    scenes = [_scene(measurement, garment, body) for measurement in (*measurements, *base, *held_out)]
+    count, more = len(measurements), len(measurements) + len(base)
+    study = Study(scenes[:count], progress=progress)
+    on_body = scenes[0].motion is not None
+    known = from_base(Study(scenes[count:more], progress=progress), model, on_body) if base else None
+    start = model if known is None else known.model
+    found = search(
+        study, start, on_body, 0.0 if known is None else known.gain, None if known is None else known.variance
+    )
+    errors = None
+    if held_out:
+        errors = held_out_errors(scenes[more:], start, found.model, found.screens[0].variance, progress)
+    elsewhere = outside(study, found)
+    return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
+
+
+def _scene(measurement: Measurement, garment: Garment | None, body: BodyModel | None) -> Scene:
+    scene = Scene.of(measurement, garment, body)
+    check_cloth(scene)
+    return scene
+
+
+def _concluded(
+    found: Search, study: Study, base: Base | None, errors: HeldOut | None, elsewhere: Outside, seconds: float
+) -> Diagnosis:
+    first, notes = found.screens[0], []
+    terms = found.terms
+    if terms and errors is not None and errors.after_mm > NOT_WORSE * errors.before_mm:
+        names = ", ".join(term.group.label for term in terms)
+        notes.append(
+            f"{names} was taken back: on held-out measurements the median error went from {errors.before_mm:.2f} to "
+            f"{errors.after_mm:.2f} mm"
+        )
+        terms = []
+    verdict = "nothing"
+    if elsewhere.beats:
+        verdict = "none of these"
+    elif terms:
+        verdict = "parameters" if all(term.group.own for term in terms) else "named"
+    kept = terms if verdict in ("named", "parameters") else []
+    similar = {term.group.name: alike(found, term) for term in kept}
+    return Diagnosis(
+        verdict=verdict,
+        found=tuple(term.group.name for term in kept if not term.group.own),
+        groups={term.group.name: (term.group.name, *(g.name for g in similar[term.group.name])) for term in kept},
+        advice={
+            f"{term.group.name} or {other.name}": advice(term.group, other)
+            for term in kept
+            for other in similar[term.group.name]
+        },
+        ranking=_ranking(found),
+        coefficients=_coefficients(found) if kept else {},
+        model=found.model if kept else first.model,
+        needed=first.needed,
+        windows=len(first.responses),
+        median_mm=(_median(first.responses), _median(found.fit.responses if kept and found.fit else first.responses)),
+        held_out=errors,
+        outside=elsewhere,
+        base=base,
+        noise_mm=_noise(study),
+        seconds=seconds,
+        search=found,
+        study=study,
+        notes=tuple(notes),
+    )
+
+
+def _median(responses) -> float:
+    return 1e3 * float(np.nanmedian(np.concatenate([response.error.ravel() for response in responses])))
+
+
+def _noise(study: Study) -> float | None:
+    found = [measurement_noise(scene.measurement) for scene in study.scenes]
+    known = [1e3 * noise.median for noise in found if noise is not None]
+    return max(known) if known else None
+
+
+def _ranking(found: Search) -> list[Ranked]:
+    first = found.screens[0]
+    tried = found.terms[0].tried if found.terms else {}
+    normal, _ = first.evidence.normal
+    ranking = []
+    for score in first.scores:
+        place = first.places[score.group.label]
+        names = [column.name for column in score.group.columns]
+        size = np.sqrt(first.needed * first.misfit / np.maximum(np.diag(normal)[place], 1e-300))
+        label = score.group.label
+        refitted = 1 - tried[label] / first.misfit if label in tried else None
+        linear = dict(zip(names, map(float, score.change), strict=True))
+        noticed = {name: float(s) for name, s in zip(names, size, strict=True) if np.isfinite(s) and s < 1e12}
+        ranking.append(
+            Ranked(label, score.group.name, score.group.own, score.gain, score.wald, linear, refitted, noticed)
+        )
+    return ranking
+
+
+def _coefficients(found: Search) -> dict[str, Coefficient]:
+    fit = found.fit
+    assert fit is not None
+    widths = half_widths(fit.evidence)
+    relative = [column.entry is None for column in fit.columns]
+    values = [
+        c if r else column.value(fit.model) for column, c, r in zip(fit.columns, fit.change, relative, strict=True)
+    ]
+    widths = [w * (1 + c) if r else w for w, c, r in zip(widths, fit.change, relative, strict=True)]
+    return {
+        column.name: Coefficient(float(value), float(value - width), float(value + width), column.unit)
+        for column, value, width in zip(fit.columns, values, widths, strict=True)
+    }
