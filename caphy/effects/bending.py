@@ -9,7 +9,7 @@ from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import Hinge, dihedral, dihedral_gradient, hinge_rest
+from caphy.effects.hinge import Hinge, dihedral, dihedral_gradient, hinge_rest, turn
 
 
 class Bending(Hinge):
@@ -36,17 +36,17 @@ class Bending(Hinge):
         return {**rest, "weft": scale * square[:, 1], "warp": scale * square[:, 0]}
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        return bending_stiffness(e.rest, p) * (dihedral(e.x) - e.rest["angle"]) ** 2
+        return bending_stiffness(e.rest, p) * turn(dihedral(e.x), e.rest["angle"]) ** 2
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        moment, turn = bending_stiffness(e.rest, p), angle - e.rest["angle"]
-        moment = moment * turn
-        return moment * turn, 2 * moment * slope
+        turned = turn(angle, e.rest["angle"])
+        moment = bending_stiffness(e.rest, p) * turned
+        return moment * turned, 2 * moment * slope
 
     def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
         stiffness = 2 * bending_stiffness(e.rest, p)
-        return stiffness * (angle - e.rest["angle"]), stiffness
+        return stiffness * turn(angle, e.rest["angle"]), stiffness
 
 
 def bending_stiffness(rest: Mapping[str, Tensor], p: Values) -> Tensor:

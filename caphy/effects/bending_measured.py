@@ -10,7 +10,7 @@ from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import Hinge, dihedral, dihedral_gradient, hinge_rest
+from caphy.effects.hinge import Hinge, dihedral, dihedral_gradient, hinge_rest, turn
 from caphy.material.fabrics import BEND_SPACING, fabric
 
 
@@ -45,30 +45,30 @@ class BendingMeasured(Hinge):
         return {**hinge_rest(cloth), "first": share[..., 0], "second": share[..., 1]}
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        return measured_moments(dihedral(e.x) - e.rest["angle"], e.rest, p)[0]
+        return measured_moments(turn(dihedral(e.x), e.rest["angle"]), e.rest, p)[0]
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
-        energy, moment = measured_moments(angle - e.rest["angle"], e.rest, p)
+        energy, moment = measured_moments(turn(angle, e.rest["angle"]), e.rest, p)
         return energy, moment * slope
 
     def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
         """With ``convex`` a moment grows at least in proportion."""
-        turn = angle - e.rest["angle"]
-        _, secant, tangent = _moments(_column(turn, e.rest), stiffness_nodes(e.rest, p))
+        turned = turn(angle, e.rest["angle"])
+        _, secant, tangent = _moments(_column(turned, e.rest), stiffness_nodes(e.rest, p))
         scale = e.rest["length"] ** 2 / (4 * e.rest["area"])
-        return scale * secant * turn, scale * (torch.maximum(tangent, secant) if convex else tangent)
+        return scale * secant * turned, scale * (torch.maximum(tangent, secant) if convex else tangent)
 
 
-def measured_moments(turn: Tensor, rest: Mapping[str, Tensor], p: Values) -> tuple[Tensor, Tensor]:
+def measured_moments(turned: Tensor, rest: Mapping[str, Tensor], p: Values) -> tuple[Tensor, Tensor]:
     """Energy (..., n) [J] of hinges turned from their rest angles (..., n) [rad], and its derivative [N m]."""
-    energy, stiffness, _ = _moments(_column(turn, rest), stiffness_nodes(rest, p))
-    return BEND_SPACING**2 * rest["area"] * energy, stiffness * rest["length"] ** 2 / (4 * rest["area"]) * turn
+    energy, stiffness, _ = _moments(_column(turned, rest), stiffness_nodes(rest, p))
+    return BEND_SPACING**2 * rest["area"] * energy, stiffness * rest["length"] ** 2 / (4 * rest["area"]) * turned
 
 
-def _column(turn: Tensor, rest: Mapping[str, Tensor]) -> Tensor:
+def _column(turned: Tensor, rest: Mapping[str, Tensor]) -> Tensor:
     """Place (..., n) among the tabulated curvatures, in columns."""
-    return turn.abs() * (rest["length"] / (2 * BEND_SPACING * rest["area"]))
+    return turned.abs() * (rest["length"] / (2 * BEND_SPACING * rest["area"]))
 
 
 def stiffness_nodes(rest: Mapping[str, Tensor], p: Values) -> Tensor:

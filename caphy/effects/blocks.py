@@ -26,7 +26,8 @@ def add_blocks(
     Args:
         term, elements: the effect and its elements at x.
         x: positions (V, 3) [m].
-        projection: 0 for exact Hessians, 1 for positive semi-definite ones, in between a mixture.
+        projection: 0 for exact Hessians, 1 for positive semi-definite ones, in between a mixture. Vertices' are
+            exact or not.
         slots: places among the blocks of the pairs of an element's corners (n, k, k), -1 where not stored.
     """
     effect = type(term.effect)
@@ -36,7 +37,8 @@ def add_blocks(
         _add_hinge(term, elements, x, projection, slots, blocks)
     else:
         hessians = (term.effect.hessian, term.effect.projected_hessian)
-        found = _mixed(lambda convex: hessians[convex](elements, term.values), projection)
+        mixture = projection if term.effect.element != "vertex" else float(projection > 0)
+        found = _mixed(lambda convex: hessians[convex](elements, term.values), mixture)
         block_kernels.scatter(found, slots, blocks)
 
 

@@ -39,6 +39,15 @@ def dihedral(x: Tensor) -> Tensor:
     return torch.atan2(sine, torch.where(collapsed, torch.ones_like(cosine), cosine))
 
 
+def turn(angle: Tensor, rest: Tensor) -> Tensor:
+    """By how much hinges are turned from their rest angles (..., n) [rad], in [-pi, pi].
+
+    A hinge folded flat may pass through itself, from pi to -pi; wrapping keeps the energy free of a jump there.
+    """
+    turned = angle - rest
+    return turned - 2 * torch.pi * torch.round(turned / (2 * torch.pi))
+
+
 def dihedral_gradient(x: Tensor, length: Tensor, area: Tensor) -> tuple[Tensor, Tensor]:
     """Angles (..., n) [rad] of hinges (4, 3, ..., n) and their gradients (4, 3, ..., n) [rad/m].
 

@@ -8,7 +8,7 @@ definition, serves every other device, and is what tests compare with.
 
 from __future__ import annotations
 
-from math import atan2, sqrt
+from math import atan2, floor, pi, sqrt
 
 import numba
 
@@ -191,12 +191,19 @@ def _add_moment(gradient, t, index, i, edge, wing_c, wing_d, normal_c, normal_d,
 
 
 @_compiled
+def _turn(angle, rest):
+    """As in hinge.turn."""
+    turned = angle - rest
+    return turned - 2.0 * pi * floor(turned / (2.0 * pi) + 0.5)
+
+
+@_compiled
 def bending(x, index, stiffness, rest_angle, length, area, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0
         for i in range(index.shape[0]):
             edge, wing_c, wing_d, normal_c, normal_d, angle = _hinge(x, t, index, i)
-            turn = angle - rest_angle[i]
+            turn = _turn(angle, rest_angle[i])
             total += stiffness[i] * turn * turn
             moment = 2.0 * stiffness[i] * turn
             _add_moment(gradient, t, index, i, edge, wing_c, wing_d, normal_c, normal_d, length[i], area[i], moment)
@@ -209,7 +216,7 @@ def bending_measured(x, index, nodes, rest_angle, length, area, energy, gradient
         total = 0.0
         for i in range(index.shape[0]):
             edge, wing_c, wing_d, normal_c, normal_d, angle = _hinge(x, t, index, i)
-            turn = angle - rest_angle[i]
+            turn = _turn(angle, rest_angle[i])
             scale = length[i] / (2.0 * area[i])
             column = abs(turn) * scale / BEND_SPACING
             k, integral, rise = nodes[0, i], 0.5 * nodes[0, i] * column * column, 0.0

@@ -24,13 +24,13 @@ SAFE_TRAVEL = 0.01
 
 _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 _HALVINGS = 30
-_LONGEST = 16
-_SLOW = 0.5  # fall of the residual in one iteration that counts as slow
+_PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
 Body = Callable[[Tensor], BodyState]
 """What positions (V, 3) [m] see of the body at the time of the step."""
 
-_STILL = 1e-3  # vertices that have moved less than this [m] keep their contact planes
+_STILL = 2e-3  # a vertex keeps its contact plane until it has moved this far [m] ...
+_GROWTH = 2  # ... and this many times farther before each further renewal
 _TURN, _RADIUS = 0.02, 5e-3  # a normal may turn this far, plus one radian per move of this many metres
 _MOST = 0.5  # however far the vertex moved
 _RENEWALS = 1
@@ -80,18 +80,21 @@ class _Planes:
     def __init__(self, body: Body | None, x: Tensor) -> None:
         self._body, self._x = body, x
         self.state = None if body is None else body(x)
-        self._renewals = 0
+        self._renewals, self._least = 0, x.new_full((len(x),), _STILL)
 
     def follow(self, x: Tensor) -> bool:
-        """Renew planes of vertices that have moved by more than a millimetre; tells whether there were any."""
-        return self._renew(x, _STILL)
+        """Renew planes of vertices that have moved far enough; tells whether there were any.
+
+        The more often a plane is renewed the farther its vertex must move for the next, so that no cycle lasts.
+        """
+        return self._renew(x, self._least)
 
     def settle(self, x: Tensor) -> bool:
         """Renew all planes at convergence, a few times at most; tells whether any moved."""
         self._renewals += 1
-        return self._renewals <= _RENEWALS and self._renew(x, 0.0)
+        return self._renewals <= _RENEWALS and self._renew(x, torch.zeros_like(self._least))
 
-    def _renew(self, x: Tensor, least: float) -> bool:
+    def _renew(self, x: Tensor, least: Tensor) -> bool:
         if self._body is None or self.state is None:
             return False
         moved = (x - self._x).norm(dim=1)
@@ -100,6 +103,7 @@ class _Planes:
         found = self._body(x)
         turned = (found.normal - self.state.normal).norm(dim=1)
         new = (moved > least) & (turned <= torch.clamp(_TURN + moved / _RADIUS, max=_MOST))
+        self._least = torch.where(new, _GROWTH * self._least, self._least)
         fields = {
             name: torch.where(new[:, None], value, getattr(self.state, name)) for name, value in vars(found).items()
         }
@@ -110,9 +114,10 @@ class _Planes:
 class Newton:
     """Newton's method for the potential of one garment; everything symbolic is prepared once.
 
-    The Hessian is the sum of positive semi-definite element Hessians, so that every direction is one of descent
-    (Teran et al., SCA 2005), and the body's nearest points are found anew for every trial state, so that the line
-    search sees the true energy. Directions are damped by mass where the Hessian is singular (statics).
+    The Hessian is the exact one where that is positive definite, which takes the fewest iterations (Longva et al.,
+    Pitfalls of projection, 2023); otherwise, and after a step that had to be shortened, compressed faces and bent
+    hinges are made half or wholly semi-definite (Teran et al., SCA 2005), so that every direction is one of descent.
+    Directions are damped by mass where the Hessian is singular (statics).
     """
 
     def __init__(
@@ -153,22 +158,22 @@ class Newton:
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise CaphyError("the state to start from must be finite, with finite energy; check pose and garment")
-        slow = False
+        level = 0
         for iteration in range(self.max_iterations):
             if here.residual <= self.tolerance:
                 if not planes.settle(here.x):
                     return here.x, Report(True, iteration, here.residual, "converged")
                 here = self._evaluate(here.x, step, planes.state)
                 continue
-            direction, damping = self._direction(here, step, damping, slow)
-            there, fraction = self._search(here, direction, step, slow)
+            factor, damping, level = self._factor(here, step, damping, level)
+            there, fraction = self._search(here, -factor.solve(here.gradient), step)
             if there is None:
                 if damping > 1e12:
                     return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
                 damping = max(100 * damping, 1.0)
                 continue
             damping = damping / 4 if fraction >= 1 else damping
-            slow = there.residual > _SLOW * here.residual
+            level = 0 if fraction >= 1 else level + 1
             here = self._evaluate(there.x, step, planes.state) if planes.follow(there.x) else there
         converged = here.residual <= self.tolerance
         reason = "converged" if converged else f"stopped after {self.max_iterations} iterations"
@@ -191,17 +196,14 @@ class Newton:
         forces = gradient.numpy()
         return _Point(x, state, float(energy), forces if self._free is None else forces * self._free)
 
-    def _direction(self, here: _Point, step: Step | None, damping: float, slow: bool) -> tuple[np.ndarray, float]:
-        """The Newton direction (V, 3) [m] and the damping it needed.
-
-        Projection makes buckling cloth stiffer than it is and progress slow; then half of it is tried first.
-        """
-        if slow:
-            factor = self.hessian.factorize(self.hessian.values(here.x, step, here.body, projection=0.5))
+    def _factor(self, here: _Point, step: Step | None, damping: float, level: int) -> tuple[Factor, float, int]:
+        """The factorised Hessian at a point, with the damping and the level of projection that it needed."""
+        for projection in _PROJECTIONS[level:] if damping == 0 else ():
+            factor = self.hessian.factorize(self.hessian.values(here.x, step, here.body, projection))
             if factor is not None:
-                return -factor.solve(here.gradient), damping
+                return factor, damping, _PROJECTIONS.index(projection)
         factor, damping = self._damped(self.hessian.values(here.x, step, here.body), damping)
-        return -factor.solve(here.gradient), damping
+        return factor, damping, len(_PROJECTIONS) - 1
 
     def _damped(self, values: np.ndarray, damping: float) -> tuple[Factor, float]:
         """The factor of the Hessian with just enough mass-proportional damping to be positive definite."""
@@ -212,36 +214,30 @@ class Newton:
                 return factor, damping
             damping = max(10 * damping, 1e-3)
 
-    def _search(
-        self, here: _Point, direction: np.ndarray, step: Step | None, slow: bool
-    ) -> tuple[_Point | None, float]:
-        """The first halving of a safe step that lowers the energy enough (Armijo), and its fraction.
-
-        Where progress is slow (cloth about to buckle) full steps are doubled while that lowers the energy further.
-        """
+    def _search(self, here: _Point, direction: np.ndarray, step: Step | None) -> tuple[_Point | None, float]:
+        """The first halving of a safe step that lowers the energy enough (Armijo), and its fraction."""
+        direction, fraction = _safe(here, direction)
         slope = float((here.gradient * direction).sum())
         rounding = 1e-13 * max(abs(here.energy), 1.0)
-        fraction = min(1.0, _safe_fraction(here, direction))
         move = torch.from_numpy(direction)
         for _ in range(_HALVINGS):
             there = self._evaluate(here.x + fraction * move, step, here.body)
             if there.energy <= here.energy + _SUFFICIENT * fraction * slope + rounding:
-                break
+                return there, fraction
             fraction /= 2
-        else:
-            return None, 0.0
-        while slow and 1 <= fraction < _LONGEST:
-            farther = self._evaluate(here.x + 2 * fraction * move, step, here.body)
-            if not farther.energy < there.energy:
-                break
-            there, fraction = farther, 2 * fraction
-        return there, fraction
+        return None, 0.0
 
 
-def _safe_fraction(here: _Point, direction: np.ndarray) -> float:
-    """The part of a direction (V, 3) along which no vertex can pass through the body."""
+def _safe(here: _Point, direction: np.ndarray) -> tuple[np.ndarray, float]:
+    """A direction (V, 3) [m] and the fraction of it along which no vertex can pass through the body.
+
+    Vertices that would go too far are stopped, each for itself, as long as that leaves a direction of descent.
+    """
     if here.body is None:
-        return 1.0
+        return direction, 1.0
     room = np.linalg.norm(here.x.numpy() - here.body.point.numpy(), axis=1) + SAFE_TRAVEL
-    travel = np.linalg.norm(direction, axis=1)
-    return float((room / np.maximum(travel, 1e-12)).min())
+    share = np.minimum(1, room / np.maximum(np.linalg.norm(direction, axis=1), 1e-12))
+    stopped = share[:, None] * direction
+    if (here.gradient * stopped).sum() < 0:
+        return stopped, 1.0
+    return direction, float(share.min())
