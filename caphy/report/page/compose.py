@@ -48,17 +48,7 @@ def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, st
     Raises:
         CaphyError: jinja2 is not installed.
     """
-    try:
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    except ModuleNotFoundError:
-        raise CaphyError("the page needs jinja2; install it with: pip install 'caphy[train]'") from None
-    environment = Environment(
-        loader=FileSystemLoader(FOLDER),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = _environment()
     environment.filters["mm"] = lambda value: (
         "–" if value is None else f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
     )
@@ -72,6 +62,38 @@ def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, st
         script=(FOLDER / "viewer.js").read_text(encoding="utf-8"),
         scale_mm=nice_ceiling(largest),
         colours={"sequential": SEQUENTIAL, "diverging": DIVERGING, "unknown": UNKNOWN},
+    )
+
+
+def tensile_page(title: str, document: dict, facts: dict[str, str]) -> str:
+    """The page of a diagnosis or refit of tensile tests, from the figures of its JSON; raises as the other page."""
+    environment = _environment()
+    environment.filters["percent"] = lambda share: "–" if share is None else f"{100 * share:.0f}"
+    shown = [
+        (f"{row['fabric'].replace('_', ' ')}, {row['direction']}", plots.tensile_plot(row))
+        for row in document["curves"]
+    ]
+    return environment.get_template("tensile.html.j2").render(
+        title=title,
+        d=document,
+        named=[[row["effect"], row["from_loading"] > 1] for row in document["found"]],
+        plots=shown,
+        facts=facts,
+        style=(FOLDER / "page.css").read_text(encoding="utf-8"),
+    )
+
+
+def _environment():
+    try:
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    except ModuleNotFoundError:
+        raise CaphyError("the page needs jinja2; install it with: pip install 'caphy[train]'") from None
+    return Environment(
+        loader=FileSystemLoader(FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
 
 

@@ -174,6 +174,26 @@ def curve_plot(title: str, rows: Sequence[dict]) -> str:
     return _frame(title, "axial strain [%]", "N/m", body)
 
 
+def tensile_plot(row: dict) -> str:
+    """Measured loadings (the first one dashed) and the models with parameters refitted and with effects added."""
+    right = 100 * row["axial"][-1]
+    high = 1.08 * max(max(loading["force"]) for loading in row["measured"])
+    x, y = _scale(0, right, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
+    body = _y_axis(y, high) + _x_axis(x, 0, right)
+    for loading in row["measured"]:
+        first = " first" if loading["loading"] == 1 else ""
+        body += f'<path class="line line1{first}" d="{_curve(x, y, loading["axial"], loading["force"], high)}"/>'
+    for number, stage in ((2, "parameters"), (0, "with effects")):
+        curves = row["models"][stage]
+        for state in curves:
+            first = " first" if state == "first" and len(curves) > 1 else ""
+            path = _curve(x, y, row["axial"], curves[state]["force"], high)
+            body += f'<path class="line line{number}{first}" d="{path}"/>'
+    for number, at, name in ((1, 40, "measured"), (2, 112, "parameters only"), (0, 222, "with effects")):
+        body += f'<text class="legend line{number}" x="{LEFT + at}" y="10">{name}</text>'
+    return _frame(f"Force of {row['fabric'].replace('_', ' ')}, {row['direction']}", "axial strain [%]", "N/m", body)
+
+
 def _curve(
     x: Callable[[float], float],
     y: Callable[[float], float],

@@ -1,0 +1,217 @@
+"""Diagnosis and refit on tensile tests made by hand, and on the real knits."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from closed_form import Sheet, measured, softened
+
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.io.measurements import ForceCurve, read_force_curves
+from caphy.tensile import diagnose_curves, refit_curves
+from caphy.tensile.report import write
+
+LAMBDA, MU, TOP = 20.0, 15.0, 0.25
+
+
+def model(lame_lambda: float = LAMBDA, lame_mu: float = MU) -> Model:
+    values = {"lame_lambda": lame_lambda, "lame_mu": lame_mu}
+    return Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": values})
+
+
+def isotropic(**more: float) -> Sheet:
+    return Sheet(LAMBDA + 2 * MU, LAMBDA + 2 * MU, LAMBDA, **more)
+
+
+def number(diagnosis, name: str):
+    return next(c for c in diagnosis.coefficients if c.name == name)
+
+
+def test_a_model_that_is_right_is_left_alone():
+    answers = [diagnose_curves(model(), measured(isotropic(), TOP, seed)) for seed in range(4)]
+    assert [a.verdict for a in answers] == ["nothing"] * 4
+    assert all(not a.found and not a.found_used for a in answers)
+
+
+def test_wrong_parameters_are_answered_as_such():
+    answer = diagnose_curves(model(1.4 * LAMBDA, 0.7 * MU), measured(isotropic(), TOP, 5))
+    assert answer.verdict == "parameters"
+    for name, true in (("strain_stvk.lame_lambda", LAMBDA), ("strain_stvk.lame_mu", MU)):
+        assert number(answer, name).interval[0] <= true <= number(answer, name).interval[1]
+
+
+def test_a_stiffening_is_found_and_recovered():
+    answer = diagnose_curves(model(), measured(isotropic(fourth=1500.0), TOP, 1))
+    assert (answer.verdict, answer.found, answer.found_used) == ("named", ("strain_stiffening",), ())
+    found = number(answer, "strain_stiffening.stiffness")
+    assert found.interval[0] <= 1500 <= found.interval[1] and found.unit == "N/m"
+    assert answer.summary["relative"]["with effects"] < 0.2 * answer.summary["relative"]["parameters"]
+    assert answer.complete
+
+
+def test_directions_that_differ_are_found_and_their_difference_recovered():
+    """Only the difference is told: mu stands for the mean, which a pull along the threads cannot split."""
+    answer = diagnose_curves(model(), measured(Sheet(90.0, 50.0, LAMBDA), TOP, 0))
+    assert answer.found == ("weft_warp_stiffness",)
+    weft, warp = (number(answer, f"weft_warp_stiffness.{way}").value for way in ("weft", "warp"))
+    assert weft - warp == pytest.approx(40, rel=0.1)
+    assert any("bias" in sentence and "lame_mu" in sentence for sentence in answer.ambiguity)
+
+
+def test_dry_friction_is_found():
+    answer = diagnose_curves(model(), measured(isotropic(friction=1.0), TOP, 0))
+    assert answer.found == ("hysteresis",)
+    assert number(answer, "hysteresis.friction").value == pytest.approx(1.0, rel=0.1)
+
+
+def test_softening_after_the_first_loading_is_told_from_a_shape():
+    curves = measured(Sheet(90.0, 50.0, LAMBDA), TOP, 0, law=softened(0.25))
+    answer = diagnose_curves(model(), curves)
+    assert (answer.found, answer.found_used) == (("weft_warp_stiffness",), ("softening",))
+    share = number(answer, "softening.share")
+    assert share.interval[0] <= 0.25 <= share.interval[1] and share.used
+    first, used = answer.models["cloth"]
+    assert "softening" in used.effects and "softening" not in first.effects
+
+
+def plateau(strain: np.ndarray, force: np.ndarray, loading: int) -> np.ndarray:
+    """Threads that slip at constant tension from 8 % to 16 %."""
+    start, stop = (force[np.searchsorted(strain, at)] for at in (0.08, 0.16))
+    return np.where(strain < 0.08, force, start + np.maximum(0.0, force - stop) * (strain > 0.16))
+
+
+def wavy(strain: np.ndarray, force: np.ndarray, loading: int) -> np.ndarray:
+    return force * (1 + 0.5 * np.sin(40 * strain))
+
+
+def fading(strain: np.ndarray, force: np.ndarray, loading: int) -> np.ndarray:
+    return force * 0.85 ** (loading - 1)
+
+
+@pytest.mark.parametrize("law", [plateau, wavy, fading])
+def test_shapes_from_outside_the_library_are_flagged(law):
+    answer = diagnose_curves(model(), measured(isotropic(), TOP, 0, law=law))
+    assert answer.verdict == "none of these"
+    depends = "loading number" if law is fading else "strain"
+    assert depends in " ".join(answer.sentences)
+
+
+def test_held_out_loadings_are_foretold():
+    curves = measured(isotropic(fourth=1500.0), TOP, 2)
+    away = [curve for curve in curves if curve.loading == 4]
+    answer = diagnose_curves(model(), [c for c in curves if c not in away], away)
+    assert [(e.direction, e.loading) for e in answer.loadings] == [("weft", 4), ("warp", 4)]
+    error = answer.loadings[0]
+    assert error.floor is not None and error.rms["with effects"] < 1.6 * error.floor < 0.3 * error.rms["as given"]
+
+
+def test_a_refit_refuses_what_does_not_help():
+    curves = measured(isotropic(fourth=1500.0), TOP, 1)
+    answer = refit_curves(model(), curves, add=["strain_stiffening", "hysteresis", "softening"])
+    assert answer.kept == ("strain_stiffening",) and set(answer.refused) == {"hysteresis", "softening"}
+    refitted = answer.models["cloth"][1]
+    assert float(refitted.effects["strain_stiffening"]["stiffness"]) == pytest.approx(1500, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["shrinkage", "air_drag_normal", "viscous_damping", "shear_stiffness"])
+def test_what_the_tests_cannot_show_is_not_fitted_to_them(name):
+    with pytest.raises(CaphyError, match=name):
+        refit_curves(model(), measured(isotropic(), TOP), add=[name])
+
+
+def bad(**changes: object) -> list[ForceCurve]:
+    return [
+        ForceCurve(c.fabric, c.direction, c.loading, *(changes[k](getattr(c, k)) if k in changes else getattr(c, k)
+                   for k in ("axial", "transverse", "force")))
+        for c in measured(isotropic(), TOP)
+    ]  # fmt: skip
+
+
+def shuffled(column: np.ndarray) -> np.ndarray:
+    return column[np.random.default_rng(0).permutation(len(column))]
+
+
+@pytest.mark.parametrize(
+    ("curves", "message"),
+    [
+        ([], "no force curves"),
+        (bad(force=lambda f: -f), "positive in tension"),
+        (bad(force=lambda f: 1e6 * f), "per metre of width"),
+        (bad(axial=shuffled, force=shuffled), "shuffled"),
+        (bad(force=shuffled), "rank correlation"),
+        (bad(force=lambda f: f + 20), "begins under load"),
+        (measured(isotropic(), TOP, loadings=1), "repeats"),
+        (measured(isotropic(), TOP) + measured(isotropic(), TOP), "two loadings are called"),
+        (measured(isotropic(), TOP, law=lambda e, f, n: f * n**3), "nothing in common"),
+    ],
+)
+def test_bad_input_is_refused_in_words(curves, message):
+    with pytest.raises(CaphyError, match=message):
+        diagnose_curves(model(), curves)
+
+
+def test_a_model_without_elasticity_is_refused():
+    with pytest.raises(CaphyError, match="resists stretch"):
+        diagnose_curves(Model(0.2, {"gravity": {}}), measured(isotropic(), TOP))
+
+
+def test_results_are_written(tmp_path):
+    answer = diagnose_curves(model(), measured(isotropic(fourth=1500.0), TOP, 1))
+    paths = write(answer, tmp_path)
+    assert {path.name for path in paths} == {"diagnosis.json", "diagnosis.html", "cloth.json"}
+    document = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert document["verdict"] == "named" and document["found"] == [{"effect": "strain_stiffening", "from_loading": 1}]
+    assert Model.load(tmp_path / "cloth.json").effects.keys() >= {"strain_stvk", "strain_stiffening"}
+    page = (tmp_path / "diagnosis.html").read_text()
+    assert page.count("<svg") == 2 and "http" not in page.replace("http://www.w3.org", "")
+
+
+OWN = '''
+"""Stiffening along the threads."""
+from caphy.effects.base import Parameter
+from caphy.effects.membrane import Membrane
+
+
+class ThreadStiffening(Membrane):
+    """E = A / 4 (q_u G_uu^4 + q_v G_vv^4) [J]."""
+
+    name = "thread_stiffening"
+    group = "stiffness"
+    parameters = {
+        "weft": Parameter(100.0, "N/m", 0.0, 1e8, doc="along the weft"),
+        "warp": Parameter(100.0, "N/m", 0.0, 1e8, doc="along the warp"),
+    }
+    reference = "made for a test of caphy"
+
+    def density(self, strain, e, p):
+        uu, vv, _ = strain
+        return 0.25 * (p["weft"] * uu**4 + p["warp"] * vv**4)
+'''
+
+
+def test_an_effect_of_the_users_own_takes_part(tmp_path):
+    from caphy.effects import registry
+    from caphy.tensile.candidates import candidates
+
+    path = tmp_path / "thread_stiffening.py"
+    path.write_text(OWN)
+    registry.register_file(path)
+    try:
+        assert "thread_stiffening" in candidates(model()).added
+    finally:
+        registry._from_files.pop("thread_stiffening")
+
+
+def test_real_knits(shared_data):
+    """One of the four knits, with half of its loadings, to be quick; docs/knit.md has all of them."""
+    curves = read_force_curves(shared_data / "fabric_tests" / "knit_uniaxial.csv")
+    some = [c for c in curves if c.fabric == "Acrylic_Yarn_Stockinette"]
+    answer = diagnose_curves(model(), some)
+    assert "weft_warp_stiffness" in answer.found
+    share = answer.summary["relative"]
+    assert share["with effects"] < 0.5 * share["parameters"] < 0.5 * share["as given"]
+    assert answer.summary["floor_relative"] < 0.1
+    assert not answer.complete and "none of the known effects" in " ".join(answer.sentences).lower()
