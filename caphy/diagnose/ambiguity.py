@@ -44,12 +44,21 @@ def alike(found: Search, term: Term) -> list[Group]:
         if group.name == term.group.name:
             continue
         place = last.places[group.label]
+        if len(place) > len(mine) and _contains(normal, place, mine):
+            continue
         inner = normal[np.ix_(place, place)] + 1e-9 * np.diag(np.diag(normal)[place]) + 1e-300 * np.eye(len(place))
         copied = float(wanted[place] @ np.linalg.solve(inner, wanted[place])) / max(size, 1e-300)
         out = group.label in term.tried and first.misfit - term.tried[group.label] < _APART * fall
         if copied > ALIKE**2 and not out:
             similar.append(group)
     return similar
+
+
+def _contains(normal: np.ndarray, more: list[int], fewer: list[int]) -> bool:
+    """Whether some number of a larger group does the same as one of a smaller group: wind holds drag."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    cosine = np.abs(normal[np.ix_(more, fewer)]) / size[more][:, None] / size[fewer]
+    return bool((cosine > 0.999).any())
 
 
 def _place(found: Search, term: Term, places: dict[str, list[int]]) -> tuple[str | None, np.ndarray]:

@@ -145,9 +145,11 @@ def _next_term(study: Study, found: Search) -> Term | None:
         return None
     before = () if found.fit is None else found.fit.columns
     fits = {score.group.label: _fitted(study, last, score, before, rounds=1) for score in near}
-    ahead = sorted(fits, key=lambda label: fits[label].misfit - fits[label].promise)
-    for label in ahead[:2]:
-        if fits[label].misfit - fits[label].promise < min(f.misfit for f in fits.values()):
+    reach = {label: found_fit.misfit - found_fit.promise for label, found_fit in fits.items()}
+    leader = min(reach, key=lambda label: reach[label])
+    fits[leader] = refined(study, fits[leader], last.variance, last.evidence.weight, f"fitting {leader}")
+    for label in reach:
+        if label != leader and reach[label] < fits[leader].misfit and not fits[label].converged:
             fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
     fall = last.misfit - min(f.misfit for f in fits.values())
     if fall < (_SECOND if found.terms else last.needed) * last.misfit:

@@ -46,5 +46,5 @@ def held_out_errors(
 
 def window_errors(study: Study, model: Model, variance: np.ndarray) -> list[np.ndarray]:
     """Distances (L, V) [mm] in each window."""
-    responses = study.respond(model, (), study.settled(model, variance), "held-out windows")
+    responses = study.respond(model, None, study.settled(model, variance), "held-out windows")
     return [1e3 * response.error for response in responses]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -78,18 +78,19 @@ class Watched:
     def respond(
         self,
         model: Model,
-        columns: Sequence[Column],
+        columns: Sequence[Column] | None,
         starts: Mapping[int, np.ndarray | None],
         pushes: Pushes | None = None,
     ) -> Iterator[Response]:
         """The windows that start at given frames, moved by given offsets (N,), one after another.
 
-        ``pushes`` are forces to respond to in the place of columns.
+        ``pushes`` are forces to respond to in the place of columns. Without columns (None) nothing but the errors is
+        told, at a fraction of the cost.
         """
         potential = self.scene.potential(model)
         newton = Newton(potential, self.scene.fixed, TOLERANCE)
-        full = self.scene.potential(extended(model, columns))
-        tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
+        full = self.scene.potential(extended(model, columns or ()))
+        tangents, states = Tangents(self.scene, newton, full, columns or (), pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = self.scene.simulator(potential, TOLERANCE)
         errors = self._start()
@@ -99,6 +100,9 @@ class Watched:
             offset[0] = 0  # the time step is what it is
             state = self._moved(states.state(frame), errors, offset[1:])
             run = roll_out(self.scene, simulator, state, frame, length=self.length)
+            if columns is None:
+                yield self._plain(frame, offset, run)
+                continue
             moved = tangents.along(recorder.stages, errors, self.length, SUBSTEPS, SDIRK2())
             if frame not in self._steps:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
@@ -119,6 +123,14 @@ class Watched:
         zero = np.zeros_like(fields)
         x, v = np.concatenate([START_POSITION * fields, zero]), np.concatenate([zero, START_VELOCITY * fields])
         return Start(torch.from_numpy(x), torch.from_numpy(v))
+
+    def _plain(self, frame: int, offset: np.ndarray, run: WindowRun) -> Response:
+        """The errors alone."""
+        count = self.projection.modes.shape[1]
+        nothing = np.zeros((self.length, 0, run.positions.shape[1], 3))
+        step = np.zeros_like(run.positions[1:])
+        response = self._response(frame, offset, run, nothing, step, 0)
+        return replace(response, nuisance=np.zeros((self.length, count, 3, 0)))
 
     def _response(
         self, frame: int, offset: np.ndarray, run: WindowRun, moved: np.ndarray, step: np.ndarray, count: int

@@ -56,14 +56,15 @@ class Study:
     def respond(
         self,
         model: Model,
-        columns: Sequence[Column],
+        columns: Sequence[Column] | None,
         offsets: Sequence[np.ndarray | None] | None = None,
         what: str = "rolling out",
         pushes: Callable[[Watched], Pushes] | None = None,
     ) -> list[Response]:
         """All windows against a model, their starts moved by ``offsets`` (one for each window).
 
-        ``pushes`` makes the forces, of no effect, to respond to in the place of columns.
+        ``pushes`` makes the forces, of no effect, to respond to in the place of columns. With None for columns
+        only errors are told.
         """
         total, responses = sum(map(len, self.starts)), []
         given = iter([None] * total if offsets is None else offsets)

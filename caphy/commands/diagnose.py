@@ -1,0 +1,104 @@
+"""``caphy diagnose MODEL MEASUREMENT... -o DIR``: which physical effect a model lacks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from caphy.commands.compare import Progress, _write_text, load_model
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.diagnose.diagnosis import Diagnosis
+    from caphy.effects.model import Model
+
+
+@dataclass(frozen=True)
+class Diagnose:
+    """Tell which physical effect a model lacks: diagnosis.json, diagnosis.html, and the model with it, model.json."""
+
+    model: tyro.conf.Positional[str]
+    """A physics model's JSON, "snug", or a measured fabric's name."""
+    measurements: tyro.conf.Positional[tuple[Path, ...]]
+    """Measurements: .npz files or folders, or .csv tables of tensile tests; see docs/measurements.md."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the results."""
+    base: tuple[Path, ...] = ()
+    """Measurements of the same cloth for which the model's effects are trusted: they fix parameters and floor."""
+    held_out: tuple[Path, ...] = ()
+    """Measurements that nothing is fitted to, to prove the answer."""
+    garment: Path | None = None
+    """The garment's .npz where the measurements carry no rest shape."""
+    body: Path | None = None
+    """An SMPL-X-format .npz, if it is not the bundled body."""
+    effect_file: tuple[Path, ...] = ()
+    """Python files with effects of your own, to be tried as well."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy diagnose`` with the arguments after it."""
+    command = tyro.cli(Diagnose, args=arguments, prog="caphy diagnose")
+    model = _physics(command.model, command.effect_file)
+    tables = [path for path in command.measurements if path.suffix == ".csv"]
+    if tables and len(tables) < len(command.measurements):
+        raise CaphyError("give either measurements in motion or tables of tensile tests, not both at once")
+    if tables:
+        _diagnose_curves(command, model)
+        return
+    write(_diagnosed(command, model), command)
+
+
+def _physics(name: str, effect_files: tuple[Path, ...]) -> Model:
+    from caphy.effects.model import Model
+
+    model = load_model(name, effect_files)
+    if not isinstance(model, Model):
+        raise CaphyError(f"{name}: is an avatar; give the physics model it was trained with (a JSON)")
+    return model
+
+
+def _diagnosed(command: Diagnose, model: Model) -> Diagnosis:
+    from caphy.body.model import BodyModel
+    from caphy.diagnose.diagnosis import diagnose
+    from caphy.garment.template import Garment
+    from caphy.io.measurements import read_measurement
+
+    read = [
+        [read_measurement(path) for path in paths] for paths in (command.measurements, command.base, command.held_out)
+    ]
+    garment = None if command.garment is None else Garment.load(command.garment)
+    body = None if command.body is None else BodyModel.load(command.body)
+    with Progress("diagnosis") as progress:
+        return diagnose(model, *read, garment=garment, body=body, progress=progress)
+
+
+def write(diagnosis: Diagnosis, command: Diagnose) -> None:
+    """Write the results and say them."""
+    from caphy.diagnose.figures import figures, sentences, table
+
+    command.output.mkdir(parents=True, exist_ok=True)
+    told = figures(diagnosis)
+    _write_text(command.output / "diagnosis.json", json.dumps(told, indent=1, allow_nan=False))
+    _write_text(command.output / "model.json", diagnosis.model.to_json())
+    print("\n" + table(diagnosis) + "\n")
+    print("\n".join(sentences(diagnosis)))
+    print(f"\n{command.output / 'diagnosis.json'}\n{command.output / 'model.json'}")
+    if diagnosis.found:
+        added = " ".join(f"--add {name}" for name in diagnosis.found)
+        files = " ".join(map(str, command.measurements))
+        print(f"next: caphy refit {command.model} {files} {added} -o {command.output / 'refitted.json'}")
+
+
+def _diagnose_curves(command: Diagnose, model: Model) -> None:
+    from caphy.io.measurements import read_force_curves
+    from caphy.tensile import diagnose_curves
+    from caphy.tensile.report import write as write_curves
+
+    curves = [curve for path in command.measurements for curve in read_force_curves(path)]
+    held_out = [curve for path in command.held_out for curve in read_force_curves(path)]
+    for path in write_curves(diagnose_curves(model, curves, held_out), command.output):
+        print(path)

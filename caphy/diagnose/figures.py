@@ -1,0 +1,124 @@
+"""A diagnosis in figures, for files, and in sentences, for people."""
+
+from __future__ import annotations
+
+from caphy.diagnose.diagnosis import Coefficient, Diagnosis
+from caphy.effects.registry import find_effect
+
+_LISTED = 12
+
+
+def figures(diagnosis: Diagnosis) -> dict:
+    """What ``diagnosis.json`` holds; every number is finite or null."""
+    held = diagnosis.held_out
+    base = diagnosis.base
+    return {
+        "schema": "caphy-diagnosis-1",
+        "verdict": diagnosis.verdict,
+        "found": list(diagnosis.found),
+        "groups": {name: list(group) for name, group in diagnosis.groups.items()},
+        "advice": diagnosis.advice,
+        "depends_on": diagnosis.depends_on,
+        "coefficients": {
+            name: {"value": c.value, "low": c.low, "high": c.high, "unit": c.unit}
+            for name, c in diagnosis.coefficients.items()
+        },
+        "windows": diagnosis.windows,
+        "gain_needed": diagnosis.needed,
+        "median_mm": {"before": diagnosis.median_mm[0], "after": diagnosis.median_mm[1], "noise": diagnosis.noise_mm},
+        "held_out": None
+        if held is None
+        else {"before_mm": held.before_mm, "after_mm": held.after_mm, "noise_mm": held.floor_mm},
+        "base": None
+        if base is None
+        else {"gain": base.gain, "median_mm": base.median_mm, "parameters_changed": base.changed},
+        "probes": diagnosis.outside.gains,
+        "library_gain": diagnosis.outside.library,
+        "ranking": [
+            {
+                "explanation": r.label,
+                "effect": r.name,
+                "family": find_effect(r.name).group,
+                "gain": r.gain,
+                "wald": r.wald,
+                "first_estimate": r.linear,
+                "gain_after_refit": r.refitted,
+                "noticed_above": r.noticed,
+            }
+            for r in diagnosis.ranking
+        ],
+        "seconds": diagnosis.seconds,
+        "seconds_per_explanation": diagnosis.seconds / max(len(diagnosis.ranking), 1),
+        "sentences": sentences(diagnosis),
+    }
+
+
+def sentences(diagnosis: Diagnosis) -> list[str]:
+    """The answer in words, the most important first."""
+    said = [_answer(diagnosis)]
+    said += [_coefficient(name, c) for name, c in diagnosis.coefficients.items()]
+    for name, group in diagnosis.groups.items():
+        if len(group) > 1:
+            said.append(f"These measurements cannot tell {name} from {_listed(group[1:])}.")
+    said += [f"To tell {pair.replace(' or ', ' from ')}: {what}." for pair, what in diagnosis.advice.items()]
+    before, after = diagnosis.median_mm
+    noise = "" if diagnosis.noise_mm is None else f"; noise alone gives {diagnosis.noise_mm:.2f} mm"
+    if diagnosis.coefficients:
+        said.append(f"The median distance in the windows falls from {before:.2f} to {after:.2f} mm{noise}.")
+    else:
+        said.append(f"The median distance in the windows is {before:.2f} mm{noise}.")
+    if diagnosis.held_out is not None and diagnosis.coefficients:
+        held = diagnosis.held_out
+        said.append(f"On held-out measurements it falls from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
+    if diagnosis.base is not None and diagnosis.base.changed:
+        moved = ", ".join(f"{name} {100 * by:+.0f} %" for name, by in diagnosis.base.changed.items())
+        said.append(f"The base measurements moved the model's own parameters: {moved}.")
+    return said + [f"Note: {note}." for note in diagnosis.notes]
+
+
+def _answer(diagnosis: Diagnosis) -> str:
+    best = diagnosis.ranking[0]
+    if diagnosis.verdict == "named":
+        share = 100 * (best.refitted if best.refitted is not None else best.gain)
+        also = " and ".join(diagnosis.found)
+        return f"The model lacks {also}: the best single explanation takes away {share:.0f} % of the misfit."
+    if diagnosis.verdict == "parameters":
+        return f"No effect is missing: the parameters of {_listed(list(diagnosis.groups))} are off."
+    if diagnosis.verdict == "none of these":
+        gain = 100 * diagnosis.outside.gains[diagnosis.outside.best]
+        return (
+            f"Something is missing, and none of the known effects is it: a force that depends on "
+            f"{diagnosis.outside.best} takes away {gain:.0f} % of the misfit, the best known effect ({best.label}) "
+            f"{100 * diagnosis.outside.library:.0f} %. Write it with: caphy effects new my_effect"
+        )
+    limit = ", ".join(
+        f"{name} {value:.2g}" for r in diagnosis.ranking[:3] for name, value in list(r.noticed.items())[:1]
+    )
+    return (
+        f"Nothing is missing that these measurements could show: the best explanation ({best.label}) takes away "
+        f"{100 * best.gain:.1f} % of the misfit where {100 * diagnosis.needed:.1f} % are needed. Noticed would have "
+        f"been, for example, {limit}."
+    )
+
+
+def _coefficient(name: str, c: Coefficient) -> str:
+    effect, parameter = name.split(".", 1)
+    declared = find_effect(effect).parameters[parameter.split("[")[0]]
+    if c.unit == "1" and declared.unit != "1":
+        return f"{name} changes by {100 * c.value:+.0f} % (95 %: {100 * c.low:+.0f} to {100 * c.high:+.0f} %)."
+    return f"{name} = {c.value:.3g} {c.unit} (95 %: {c.low:.3g} to {c.high:.3g})."
+
+
+def _listed(names) -> str:
+    names = list(names)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def table(diagnosis: Diagnosis) -> str:
+    """The first explanations as lines of text."""
+    rows = [f"{'explanation':34s} {'gain':>7s} {'Wald':>8s} {'refit':>7s}  first estimate"]
+    for r in diagnosis.ranking[:_LISTED]:
+        numbers = ", ".join(f"{name.split('.', 1)[1]} {value:.3g}" for name, value in list(r.linear.items())[:3])
+        refit = "" if r.refitted is None else f"{100 * r.refitted:.1f} %"
+        rows.append(f"{r.label:34s} {100 * r.gain:6.1f} % {r.wald:7.0f} {refit:>7s}  {numbers}")
+    return "\n".join(rows)
