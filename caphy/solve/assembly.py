@@ -60,9 +60,9 @@ class Hessian:
         moved[self._diagonal] += shift[:, None, None] * np.eye(3)
         return moved
 
-    def factorize(self, blocks: np.ndarray) -> Factor | None:
-        """Cholesky factor of blocks (B, 3, 3); None unless the matrix is positive definite."""
-        return self._symbolic.factorize(blocks)
+    def factorize(self, blocks: np.ndarray, dtype: type = np.float64) -> Factor | None:
+        """Cholesky factor of blocks (B, 3, 3), in a precision; None unless the matrix is positive definite."""
+        return self._symbolic.factorize(blocks, dtype)
 
     def matrix(self, blocks: np.ndarray) -> csr_array:
         """The full symmetric matrix (3 V, 3 V) [N/m] of blocks (B, 3, 3), coordinates in vertex order."""

@@ -25,8 +25,8 @@ def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, s
     entry_start, entry_block, entry_row, entry_column = entries
     width, height, panel, update = fronts
     child_start, child, place_start, place = children
-    letters = _LETTERS.copy()
-    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0])
+    letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
+    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0, 0.0], panels.dtype)
     letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
     for f in range(len(width)):
         own, size = 3 * width[f], 3 * height[f]
@@ -34,7 +34,6 @@ def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, s
         dense = panels[panel[f] : panel[f] + own * size]
         passed = updates[update[f] : update[f] + rest * rest]
         dense[:] = 0.0
-        passed[:] = 0.0
         for e in range(entry_start[f], entry_start[f + 1]):
             block, row, column = entry_block[e], 3 * entry_row[e], 3 * entry_column[e]
             for q in range(3):
@@ -44,7 +43,7 @@ def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, s
             kid = child[c]
             own_kid = 3 * (height[kid] - width[kid])
             kid_update = updates[update[kid] : update[kid] + own_kid * own_kid]
-            _extend_add(dense, passed, own, size, kid_update, place[place_start[kid] : place_start[kid + 1]])
+            _add_to_panel(dense, own, size, kid_update, place[place_start[kid] : place_start[kid + 1]])
         integers[0], integers[1], integers[2] = own, rest, size
         at = dense.ctypes.data
         n, m, ld, info = integer, integer + np.uint64(4), integer + np.uint64(8), integer + np.uint64(12)
@@ -52,7 +51,7 @@ def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, s
         if integers[3] != 0:
             return False
         if rest > 0:
-            below = at + np.uint64(8 * own)
+            below = at + item * np.uint64(own)
             trsm(
                 letter + np.uint64(RIGHT),
                 letter + np.uint64(LOWER),
@@ -71,41 +70,54 @@ def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, s
                 letter + np.uint64(NO),
                 m,
                 n,
-                scalar + np.uint64(8),
+                scalar + item,
                 below,
                 ld,
-                scalar,
+                scalar + item + item,
                 passed.ctypes.data,
                 m,
             )
+            for c in range(child_start[f], child_start[f + 1]):
+                kid = child[c]
+                own_kid = 3 * (height[kid] - width[kid])
+                kid_update = updates[update[kid] : update[kid] + own_kid * own_kid]
+                _add_to_square(passed, own, rest, kid_update, place[place_start[kid] : place_start[kid + 1]])
     return True
 
 
 @_compiled
-def _extend_add(dense, passed, own, size, child, place):
-    """Add the lower triangle of a child's square to its parent's panel and square."""
-    count, rest = 3 * len(place), size - own
+def _add_to_panel(dense, own, size, child, place):
+    """Add the columns of a child's square that its parent eliminates."""
+    count = 3 * len(place)
     for j in range(len(place)):
+        if 3 * place[j] >= own:
+            return
         for q in range(3):
-            column = 3 * place[j] + q
-            source = (3 * j + q) * count
-            if column < own:
-                for i in range(j, len(place)):
-                    target = column * size + 3 * place[i]
-                    for p in range(3):
-                        dense[target + p] += child[source + 3 * i + p]
-            else:
-                for i in range(j, len(place)):
-                    target = (column - own) * rest + 3 * place[i] - own
-                    for p in range(3):
-                        passed[target + p] += child[source + 3 * i + p]
+            source, target = (3 * j + q) * count, (3 * place[j] + q) * size
+            for i in range(j, len(place)):
+                for p in range(3):
+                    dense[target + 3 * place[i] + p] += child[source + 3 * i + p]
+
+
+@_compiled
+def _add_to_square(passed, own, rest, child, place):
+    """Add the columns of a child's square that its parent passes on."""
+    count = 3 * len(place)
+    for j in range(len(place)):
+        if 3 * place[j] < own:
+            continue
+        for q in range(3):
+            source, target = (3 * j + q) * count, (3 * place[j] + q - own) * rest - own
+            for i in range(j, len(place)):
+                for p in range(3):
+                    passed[target + 3 * place[i] + p] += child[source + 3 * i + p]
 
 
 @_fast
 def solve_one(right, fronts, first, start, rows, panels):
     """Replace ``right`` (3 V,), in elimination order, by the solution."""
     width, height, panel, _ = fronts
-    local = np.empty(3 * height.max())
+    local = np.empty(3 * height.max(), panels.dtype)
     for f in range(len(width)):
         own, size = 3 * width[f], 3 * height[f]
         local[:own] = right[3 * first[f] : 3 * first[f] + own]
@@ -127,7 +139,7 @@ def solve_one(right, fronts, first, start, rows, panels):
                 local[3 * k + p] = right[3 * rows[start[f] + k] + p]
         for j in range(own - 1, -1, -1):
             column = panels[panel[f] + j * size : panel[f] + (j + 1) * size]
-            total = 0.0
+            total = column[j] * 0
             for i in range(j + 1, size):
                 total += column[i] * local[i]
             local[j] = (local[j] - total) / column[j]
@@ -139,23 +151,23 @@ def solve_many(right, fronts, first, start, rows, panels, trsm, gemm):
     """Replace ``right`` (K, 3 V), in elimination order, by the solutions."""
     width, height, panel, _ = fronts
     count, total = right.shape
-    letters = _LETTERS.copy()
-    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0, 0.0])
+    letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
+    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0, 0.0], panels.dtype)
     letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
     no, turned = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED)
     left, lower = letter + np.uint64(LEFT), letter + np.uint64(LOWER)
     n, m, ld = integer, integer + np.uint64(4), integer + np.uint64(8)
     k, whole = integer + np.uint64(12), integer + np.uint64(16)
-    one, minus, none = scalar, scalar + np.uint64(8), scalar + np.uint64(16)
-    work = np.empty(3 * height.max() * count)
+    one, minus, none = scalar, scalar + item, scalar + item + item
+    work = np.empty(3 * height.max() * count, panels.dtype)
     for f in range(len(width)):
         own, size = 3 * width[f], 3 * height[f]
         rest = size - own
         integers[0], integers[1], integers[2], integers[3], integers[4] = own, rest, size, count, total
-        at, mine = panels.ctypes.data + np.uint64(8 * panel[f]), right.ctypes.data + np.uint64(24 * first[f])
+        at, mine = panels.ctypes.data + item * np.uint64(panel[f]), right.ctypes.data + item * np.uint64(3 * first[f])
         trsm(left, lower, no, no, n, k, one, at, ld, mine, whole)
         if rest > 0:
-            below = at + np.uint64(8 * own)
+            below = at + item * np.uint64(own)
             gemm(no, no, m, k, n, one, below, ld, mine, whole, none, work.ctypes.data, m)
             for c in range(count):
                 for i in range(width[f], height[f]):
@@ -165,9 +177,9 @@ def solve_many(right, fronts, first, start, rows, panels, trsm, gemm):
         own, size = 3 * width[f], 3 * height[f]
         rest = size - own
         integers[0], integers[1], integers[2], integers[3], integers[4] = own, rest, size, count, total
-        at, mine = panels.ctypes.data + np.uint64(8 * panel[f]), right.ctypes.data + np.uint64(24 * first[f])
+        at, mine = panels.ctypes.data + item * np.uint64(panel[f]), right.ctypes.data + item * np.uint64(3 * first[f])
         if rest > 0:
-            below = at + np.uint64(8 * own)
+            below = at + item * np.uint64(own)
             for c in range(count):
                 for i in range(width[f], height[f]):
                     for p in range(3):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numba.experimental.function_type  # registers the type of routines  # noqa: F401
+import numpy as np
 from numba import types
 from numba.extending import get_cython_function_address
 
@@ -25,7 +26,14 @@ class Routine(types.WrapperAddressProtocol):
         return self._signature
 
 
-DPOTRF = Routine("cython_lapack", "dpotrf", 5)
-DTRSM = Routine("cython_blas", "dtrsm", 11)
-DSYRK = Routine("cython_blas", "dsyrk", 10)
-DGEMM = Routine("cython_blas", "dgemm", 13)
+def _precisions(module: str, name: str, arguments: int) -> dict[type, Routine]:
+    return {
+        np.float32: Routine(module, "s" + name, arguments),
+        np.float64: Routine(module, "d" + name, arguments),
+    }
+
+
+POTRF = _precisions("cython_lapack", "potrf", 5)
+TRSM = _precisions("cython_blas", "trsm", 11)
+SYRK = _precisions("cython_blas", "syrk", 10)
+GEMM = _precisions("cython_blas", "gemm", 13)

@@ -24,6 +24,7 @@ SAFE_TRAVEL = 0.01
 
 _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 _HALVINGS = 30
+_DIRECTIONS = np.float32  # precision of Newton directions: relative errors of 1e-4 do not cost an iteration
 _PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
 Body = Callable[[Tensor], BodyState]
@@ -172,7 +173,8 @@ class Newton:
                     return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
                 damping = max(100 * damping, 1.0)
                 continue
-            damping = damping / 4 if fraction >= 1 else damping
+            if fraction >= 1:
+                damping = damping / 4 if damping > 1e-6 else 0.0
             level = 0 if fraction >= 1 else level + 1
             here = self._evaluate(there.x, step, planes.state) if planes.follow(there.x) else there
         converged = here.residual <= self.tolerance
@@ -199,7 +201,7 @@ class Newton:
     def _factor(self, here: _Point, step: Step | None, damping: float, level: int) -> tuple[Factor, float, int]:
         """The factorised Hessian at a point, with the damping and the level of projection that it needed."""
         for projection in _PROJECTIONS[level:] if damping == 0 else ():
-            factor = self.hessian.factorize(self.hessian.values(here.x, step, here.body, projection))
+            factor = self.hessian.factorize(self.hessian.values(here.x, step, here.body, projection), _DIRECTIONS)
             if factor is not None:
                 return factor, damping, _PROJECTIONS.index(projection)
         factor, damping = self._damped(self.hessian.values(here.x, step, here.body), damping)
