@@ -1,0 +1,123 @@
+"""What can be hidden in measurements: effects of the library alone and in pairs, forces from outside it, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from caphy.challenge.outside import FORCES
+from caphy.challenge.swings import about_vertical
+from caphy.effects.registry import find_effect
+
+Verdict = Literal["named", "nothing", "parameters", "none of these"]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Something that acts on the cloth and that the user's model lacks.
+
+    Attributes:
+        name: what to call it.
+        effects: effects of the library and their parameters; those the model has already are changed.
+        outside: name of a force that is not in the library, or none.
+        alike: for each effect, others that move cloth so similarly that naming them is not wrong.
+        same_mesh: the truth is simulated on the user's mesh.
+        strength: by which coefficients are multiplied in scenes where the effect would do too little or too much.
+    """
+
+    name: str
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    outside: str | None = None
+    alike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    same_mesh: bool = False
+    strength: Mapping[str, float] = field(default_factory=dict)
+
+    def drawn(self, scene: str, random: np.random.Generator) -> Hidden:
+        """This effect with its strength drawn between 0.75 and 1.4 of its usual one, wind from any side."""
+        turn = about_vertical(random.uniform(0, 360))
+        drawn = {
+            name: _scaled(name, values, self.strength.get(scene, 1.0) * random.uniform(0.75, 1.4), turn)
+            for name, values in self.effects.items()
+        }
+        return replace(self, effects=drawn)
+
+
+def _scaled(name: str, values: Mapping[str, Any], factor: float, turn: np.ndarray) -> dict[str, Any]:
+    """Values with their coefficients multiplied and their horizontal vectors turned."""
+    effect, scaled = find_effect(name), {}
+    for key, value in values.items():
+        new = np.asarray(value, dtype=float)
+        if effect.parameters[key].linear or key in effect.coefficients:
+            new = factor * new
+        if new.shape == (3,):
+            new = turn @ new
+        scaled[key] = np.clip(new, effect.parameters[key].lower, effect.parameters[key].upper)
+    return scaled
+
+
+def _one(name: str, *alike: str, strength: Mapping[str, float] | None = None, **values: Any) -> Hidden:
+    return Hidden(name, {name: values}, alike={name: alike}, strength=strength or {})
+
+
+def _pair(one: str, other: str) -> Hidden:
+    a, b = ONE[one], ONE[other]
+    return Hidden(f"{one} and {other}", {**a.effects, **b.effects}, alike={**a.alike, **b.alike})
+
+
+ONE: Mapping[str, Hidden] = {
+    hidden.name: hidden
+    for hidden in (
+        _one("air_drag_normal", "air_drag_normal_quadratic", "wind_normal", coefficient=0.3),
+        _one("air_drag_normal_quadratic", "air_drag_normal", "wind_normal_quadratic", coefficient=0.4),
+        _one("air_drag_tangential", "air_drag_tangential_quadratic", "wind_tangential", coefficient=0.3),
+        _one("wind_normal", "wind_normal_quadratic", coefficient=0.2, push=(0.3, 0.0, 0.2)),
+        _one("wind_normal_quadratic", "wind_normal", coefficient=0.2, velocity=(1.0, 0.0, 0.8)),
+        _one("wind_tangential", "wind_tangential_quadratic", coefficient=0.2, push=(0.2, 0.0, 0.2)),
+        _one("gust", cosine=(0.3, 0.0, 0.2), sine=(0.2, 0.0, -0.3), frequency=1.2),
+        _one("uniform_acceleration", "wind_tangential", acceleration=(0.8, 0.0, 0.6)),
+        _one("pressure", pressure=0.3),
+        _one("mass_damping", "air_drag_tangential", "air_drag_normal", rate=1.5),
+        _one("viscous_damping", "hysteresis", viscosity=0.5),
+        _one("hysteresis", "viscous_damping", friction=0.3),
+        _one("weft_warp_stiffness", "shrinkage_directional", weft=60.0, warp=-20.0),
+        _one("shear_stiffness", stiffness=40.0),
+        _one("shrinkage", "shrinkage_directional", fraction=0.03),
+        _one("extra_bending", "bending_anisotropy", stiffness=6e-5),
+        _one("bending_anisotropy", "extra_bending", difference=4e-5),
+        _one("natural_curvature", weft=12.0, warp=4.0),
+        _one("added_mass", "extra_mass", density=0.06),
+        _one("mass_gradient", "heavy_hem", gradient=0.4),
+        _one("heavy_hem", "mass_gradient", "extra_mass", line_density=(0.008, 0.0, 0.0, 0.0)),
+        _one("seam_tension", "shrinkage", "shrinkage_directional", tension=(0.2, 0.0, 0.0, 0.0)),
+        _one("body_friction", coefficient=0.4),
+        _one("contact_thickness", thickness=0.006),
+    )
+}
+"""Single effects."""
+
+PAIRS: Mapping[str, Hidden] = {
+    hidden.name: hidden
+    for hidden in (
+        _pair("air_drag_normal", "shrinkage"),
+        _pair("wind_normal", "extra_bending"),
+        _pair("mass_damping", "natural_curvature"),
+        _pair("uniform_acceleration", "shear_stiffness"),
+        _pair("pressure", "heavy_hem"),
+        _pair("air_drag_tangential", "mass_gradient"),
+    )
+}
+"""Two effects at once."""
+
+NOTHING: Mapping[str, Hidden] = {
+    "nothing": Hidden("nothing"),
+    "time step only": Hidden("time step only", same_mesh=True),
+}
+"""Nothing hidden, on another mesh and on the user's own."""
+
+OUTSIDE: Mapping[str, Hidden] = {name: Hidden(name, outside=name) for name in FORCES}
+"""Forces that no effect of the library states."""
+
+HIDDEN: Mapping[str, Hidden] = {**ONE, **PAIRS, **NOTHING, **OUTSIDE}

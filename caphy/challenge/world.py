@@ -1,0 +1,120 @@
+"""Measurements with something hidden in them: what the user is given, and the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caphy.challenge.hidden import Hidden, Verdict
+from caphy.challenge.outside import FORCES
+from caphy.challenge.recording import record, seen_by_user
+from caphy.challenge.square import square
+from caphy.challenge.stage import FPS, Stage
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.io.measurements import Measurement
+
+SCENES = {"square": square}
+"""Scenes by name: what makes their stage from (seed, frames, same_mesh)."""
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A challenge.
+
+    Attributes:
+        model: what the user believes: the truth without what is hidden.
+        train: measurements to find it in.
+        held_out: measurements of other motions, to prove it on.
+        base: measurements of the same cloth before anything was hidden in it.
+        answer: what was hidden, and how the data were made; plain JSON values.
+    """
+
+    model: Model
+    train: tuple[Measurement, ...]
+    held_out: tuple[Measurement, ...]
+    base: tuple[Measurement, ...]
+    answer: Mapping[str, Any]
+
+
+def make(
+    scene: str,
+    hidden: Hidden,
+    seed: int,
+    *,
+    noise_mm: float = 1.0,
+    points: int | None = None,
+    frames: int = 48,
+    wrong: float = 0.0,
+    cache: Path | None = None,
+) -> World:
+    """Simulate a scene with something hidden in it, and measure it.
+
+    Args:
+        scene: one of :data:`SCENES`.
+        hidden: what the user's model lacks; its strength and direction are drawn from the seed.
+        seed: of the motions, the strength and the noise. What is hidden does not change the motions.
+        noise_mm: standard deviation of each coordinate [mm].
+        points: points in each frame's cloud; registered vertices unless given.
+        frames: of each measurement.
+        wrong: by how much, up and down in turn, the user's stiffnesses are off, as a share.
+        cache: folder in which simulations are kept; noise is added afterwards.
+
+    Raises:
+        CaphyError: no such scene, or the cloth flew apart.
+    """
+    if scene not in SCENES:
+        raise CaphyError(f"there is no scene {scene!r}; known: {', '.join(SCENES)}")
+    hidden = hidden.drawn(scene, np.random.default_rng([seed, 1]))
+    stage = SCENES[scene](seed, frames, hidden.same_mesh)
+    found: dict[str, list[Measurement]] = {"train": [], "held_out": [], "base": []}
+    for play in stage.plays:
+        film = record(stage, play, Hidden("nothing") if play.part == "base" else hidden, seed, frames, cache)
+        random = np.random.default_rng([seed, 2, ord(play.part[0]), play.number])
+        found[play.part].append(seen_by_user(stage, play, film, noise_mm, points, random))
+    model = _astray(stage.model, wrong)
+    answer = _answer(stage, hidden, seed, noise_mm, points, frames, wrong)
+    return World(model, *(tuple(found[part]) for part in ("train", "held_out", "base")), answer)
+
+
+def _astray(model: Model, share: float) -> Model:
+    """A model whose stiffnesses are too high and too low by a share, in turn."""
+    up, down = 1 + share, 1 / (1 + share)
+    for name, factors in (
+        ("strain_stvk", {"lame_mu": up, "lame_lambda": down}),
+        ("bending", {"stiffness_weft": down, "stiffness_warp": down}),
+    ):
+        values = model.effects[name]
+        model = model.with_effect(name, **{key: values[key] * factor for key, factor in factors.items()})
+    return model
+
+
+def _answer(
+    stage: Stage, hidden: Hidden, seed: int, noise_mm: float, points: int | None, frames: int, wrong: float
+) -> dict[str, Any]:
+    verdict: Verdict = "none of these" if hidden.outside else "named" if hidden.effects else "nothing"
+    if wrong and not (hidden.outside or hidden.effects):
+        verdict = "parameters"
+    effects = {n: {k: np.asarray(v).tolist() for k, v in values.items()} for n, values in hidden.effects.items()}
+    doc = FORCES[hidden.outside].__doc__ if hidden.outside else None
+    return {
+        "hidden": hidden.name,
+        "verdict": verdict,
+        "effects": effects,
+        "outside": doc,
+        "alike": {name: list(others) for name, others in hidden.alike.items()},
+        "scene": stage.name,
+        "seed": seed,
+        "noise_mm": noise_mm,
+        "points": points,
+        "frames": frames,
+        "frames_per_second": FPS,
+        "parameters_wrong_by": wrong,
+        "vertices_of_the_truth": len(stage.truth.vertices),
+        "vertices_of_the_user": len(stage.user.vertices),
+        "integrator": "leapfrog",
+    }
