@@ -14,7 +14,9 @@ from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
+    from caphy.garment.template import Garment
     from caphy.io.poses import PoseSequence
+    from caphy.training.initial import Initial
     from caphy.training.loop import Trainer
 
 FPS = 30.0
@@ -35,11 +37,14 @@ class Train:
     Run it with torchrun to share the work among processes."""
 
     garment: tyro.conf.Positional[Path]
-    """Garment npz, as 'caphy garment make' writes it."""
+    """Garment npz, as 'caphy garment make' writes it, or "tshirt" or "trousers" for the bundled ones."""
     poses: tyro.conf.Positional[tuple[Path, ...]]
     """Pose files, or folders of them; without any, motions are made from seeds."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of this training."""
+    init: Path | None = None
+    """Go on from this network instead of from nothing: an avatar's folder, "default" for the bundled one, or the
+    folder of a training."""
     made_up: int = 0
     """Motions of 20 s made from seeds to train on besides the files: arms go where few recordings have them."""
     held_out: tuple[Path, ...] = ()
@@ -47,11 +52,13 @@ class Train:
     body: Path | None = None
     """Body npz in the SMPL-X format; the bundled body unless given."""
     betas: tuple[float, ...] = ()
-    """Body shape that the garment was made on."""
+    """Body shape that the garment was made on; that of --init unless given."""
     fabric: str | None = None
-    """A measured fabric; SNUG's cotton unless given."""
+    """A measured fabric; the model of --init unless given, or SNUG's cotton."""
     model: Path | None = None
     """Physics model as JSON instead of a fabric."""
+    effect_file: tuple[Path, ...] = ()
+    """Python files with effects of your own that the model uses."""
     minutes: float | None = None
     """How long to train; 45 unless --steps is given."""
     steps: int | None = None
@@ -112,43 +119,73 @@ def prepare(options: Train) -> Trainer:
     from caphy.body.model import BodyModel
     from caphy.effects.cloth import Cloth
     from caphy.effects.potential import Potential
+    from caphy.effects.registry import register_file
     from caphy.garment.template import Garment
     from caphy.network.garment_network import GarmentNetwork
+    from caphy.training.blind_spots import blind_spots
+    from caphy.training.initial import read_initial
     from caphy.training.loop import Schedule, Trainer
     from caphy.training.motions import Motions, varied
     from caphy.training.objective import Objective
+    from caphy.training.validate import SHORTEST
 
     if options.device != "cpu" and not torch.cuda.is_available():
         raise CaphyError(f"--device {options.device}: torch finds no CUDA device here; use --device cpu")
     torch.manual_seed(options.seed)
-    garment, model = Garment.load(options.garment), _model(options)
+    for file in options.effect_file:
+        register_file(file)
+    garment = Garment.load(_bundled(options.garment))
+    initial = None if options.init is None else read_initial(_bundled(options.init), garment)
+    model, shape = _model(options, initial), options.betas or (initial.betas if initial else ())
     body = default_body() if options.body is None else BodyModel.load(options.body)
-    betas = np.array(options.betas) if options.betas else None
-    network = GarmentNetwork(garment.vertices, garment.weights, body.rest(betas)[1], fps=FPS).to(options.device)
+    betas = np.array(shape) if shape else None
+    joints = body.rest(betas)[1]
+    if initial is None:
+        network = GarmentNetwork(garment.vertices, garment.weights, joints, fps=FPS)
+    else:
+        network = initial.network
+        initial.require_joints(joints)
+    network, fps = network.to(options.device), network.fps
     trained, held_out = _clips(options)
-    motions = Motions.of([v for clip in trained for v in varied(clip, FPS)], body, network.driving, FPS, betas)
-    unseen = Motions.of([clip.resample(FPS) for clip in held_out], body, network.driving, FPS, betas)
+    motions = Motions.of([v for clip in trained for v in varied(clip, fps)], body, network.driving, fps, betas)
+    long = [clip for clip in (clip.resample(fps) for clip in held_out) if len(clip) >= SHORTEST]
+    unseen = Motions.of(long, body, network.driving, fps, betas) if long else None
     potential = Potential(model, Cloth.of(garment, model.density), torch.float32, options.device)
-    objective = Objective(potential, body, network.template, network.weights, FPS, betas)
+    objective = Objective(potential, body, network.template, network.weights, fps, betas)
     minutes = 45.0 if options.minutes is None and options.steps is None else options.minutes
     schedule = Schedule(options.steps, minutes)
     trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed)
     if trainer.rank == 0:
-        _record(options, garment, model, trained, held_out)
+        _record(options, shape, initial, garment, model, trained, held_out)
         print(
             f"{garment.name}: {len(garment.vertices)} vertices, {len(motions)} frames of {len(trained)} clips "
             f"(mirrored, at three speeds), {len(held_out)} clips held out"
         )
+        if unseen is None:
+            print(f"note: nothing is validated, no clip held out has {SHORTEST} frames at {fps:g} fps")
+        for name, what in blind_spots(potential).items():
+            print(f"note: {name} depends on {what}, which the network does not see: it learns the average")
     return trainer
 
 
-def _model(options: Train) -> Model:
+def _bundled(path: Path) -> Path:
+    """The bundled garment or avatar of that name, or the path itself."""
+    data = Path(__file__).parents[1] / "data"
+    bundled = [data / "garments" / f"{path}.npz", data / "avatars" / path]
+    return path if path.exists() else next((known for known in bundled if known.exists()), path)
+
+
+def _model(options: Train, initial: Initial | None) -> Model:
     from caphy.effects.model import Model
     from caphy.effects.presets import fabric_model, snug_model
 
     if options.model is not None:
         return Model.load(options.model)
-    return snug_model() if options.fabric is None else fabric_model(options.fabric)
+    if options.fabric is not None:
+        return fabric_model(options.fabric)
+    if initial is not None:
+        return Model.from_json(json.dumps(initial.model), f"the model of {options.init}; give one with --model")
+    return snug_model()
 
 
 def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
@@ -168,16 +205,20 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
     return [clip for i, clip in enumerate(clips) if i % 6 != 5] + extra, clips[5::6] or clips[-1:]
 
 
-def _record(options: Train, garment, model: Model, trained: list[PoseSequence], held_out: list[PoseSequence]) -> None:
+def _record(
+    options: Train, shape: tuple[float, ...], initial: Initial | None, garment: Garment, model: Model,
+    trained: list[PoseSequence], held_out: list[PoseSequence],
+) -> None:  # fmt: skip
     """Put beside the network what the export needs, and what a reader wants to know of its making."""
     garment.save(options.output / "garment.npz")
     (options.output / "model.json").write_text(model.to_json() + "\n")
     record = {
         "format": "caphy-run-1",
-        "fps": FPS,
+        "fps": FPS if initial is None else initial.network.fps,
         "seed": options.seed,
         "body": None if options.body is None else str(options.body),
-        "betas": list(options.betas),
+        "betas": list(shape),
+        "init": None if initial is None else dict(initial.record),
         "fabric": options.fabric,
         "minutes": options.minutes,
         "steps": options.steps,

@@ -16,8 +16,8 @@ class Gust(Air):
     """A wind pressure that swings in time, E = -dt A (f(t).n) (v.n) [J] per face.
 
     f(t) = a cos(2 pi nu t) + b sin(2 pi nu t) [Pa], the same everywhere, with t counted from the start of the motion.
-    Each axis has its own phase, so the wind may also turn. Steady wind and drag are wind_normal's. Training has no
-    clock: it sees the gust at t = 0.
+    Each axis has its own phase, so the wind may also turn. Steady wind and drag are wind_normal's. Networks see
+    no clock: they learn the average.
     """
 
     name = "gust"

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from scipy.linalg import solve_triangular
 from torch import Tensor, nn
 
 from caphy.effects.base import BodyState, Step
+from caphy.effects.model import Model
 from caphy.effects.potential import Potential
+from caphy.effects.registry import find_effect
 from caphy.network.garment_network import GarmentNetwork
 from caphy.solve.assembly import Hessian
 
@@ -22,12 +26,19 @@ def stiffness(potential: Potential, fps: float) -> np.ndarray:
     The average of the three diagonal blocks of the potential's Hessian, contact left out: it stiffens what is stretched
     between vertices and leaves cheap what moves them together. It is positive definite because inertia is.
     """
-    free = Potential(potential.model.without_effect("body_contact"), potential.cloth)
+    free = Potential(_without_contact(potential.model), potential.cloth)
     x = torch.from_numpy(np.asarray(potential.cloth.vertices, dtype=np.float64))
     still = BodyState(x, torch.zeros_like(x), torch.zeros_like(x), x)
     hessian = Hessian(free)
     matrix = hessian.matrix(hessian.values(x, Step.implicit_euler(1 / fps, x, x), still))
     return np.mean([matrix[axis::3, axis::3].toarray() for axis in range(3)], axis=0)
+
+
+def _without_contact(model: Model) -> Model:
+    """The model without contact and without what reads it."""
+    reads = {name for name in model.effects if "body_contact" in (find_effect(name).lenders(model.effects) or ())}
+    kept = {name: values for name, values in model.effects.items() if name not in {"body_contact", *reads}}
+    return replace(model, effects=kept)
 
 
 def offset_basis(stiff: np.ndarray) -> np.ndarray:
@@ -45,7 +56,8 @@ def offset_basis(stiff: np.ndarray) -> np.ndarray:
 class Learner(nn.Module):
     """Features to offsets, as :meth:`GarmentNetwork.offsets`, with the head's output u = S z made of trained z.
 
-    The minimum and the network are the same as without S; :meth:`fold` multiplies it into the network's head.
+    The minimum and the network are the same as without S. It starts as the network is: the head is divided by S here,
+    and :meth:`fold` multiplies it into the network's head.
     """
 
     basis: Tensor
@@ -54,9 +66,10 @@ class Learner(nn.Module):
         super().__init__()
         self.gru = network.gru
         self.head = nn.Linear(network.head.in_features, network.head.out_features)  # rows: x of all, y of all, z
-        nn.init.zeros_(self.head.weight)
-        nn.init.zeros_(self.head.bias)
         self.register_buffer("basis", torch.tensor(basis, dtype=torch.float32), persistent=False)
+        with torch.no_grad():
+            self.head.weight.copy_(_divided(network.head.weight, basis))
+            self.head.bias.copy_(_divided(network.head.bias[:, None], basis)[:, 0])
 
     def forward(self, features: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Canonical offsets (B, T, V, 3) [m] of features (B, T, D), and the hidden state (layers, B, width)."""
@@ -71,3 +84,9 @@ class Learner(nn.Module):
         bias = self.head.bias if bias is None else bias
         network.head.weight.copy_((self.basis @ weight.unflatten(0, (3, -1))).transpose(0, 1).flatten(0, 1))
         network.head.bias.copy_((self.basis @ bias.unflatten(0, (3, -1)).mT).flatten())
+
+
+def _divided(head: Tensor, basis: np.ndarray) -> Tensor:
+    """S^-1 of a head's rows (3V, n), which are x, y, z of each vertex; the result's are x of all, y of all, z."""
+    planes = head.detach().cpu().double().unflatten(0, (-1, 3)).transpose(0, 1)
+    return torch.linalg.solve(torch.tensor(basis, dtype=torch.float64), planes).flatten(0, 1)

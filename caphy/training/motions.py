@@ -118,5 +118,10 @@ class Motions:
             tuple(clip.source for clip in clips),
         )
 
+    def times(self, frames: np.ndarray, fps: float) -> np.ndarray:
+        """Time [s] of each of ``frames`` since its clip began."""
+        clip = np.searchsorted(self.starts, frames, side="right") - 1
+        return (frames - self.starts[clip]) / fps
+
     def __len__(self) -> int:
         return len(self.poses)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -84,7 +84,8 @@ class Objective:
         still = still.to(device)[..., None, None]
         now = history[rows, scored + 2]
         previous, before = (torch.where(still, now, history[rows, scored + back]) for back in (1, 0))
-        step = Step.implicit_euler(self.dt, previous, before)
+        time = motions.times(np.take_along_axis(windows.frames, windows.scored, 1), 1 / self.dt)
+        step = replace(Step.implicit_euler(self.dt, previous, before), time=torch.from_numpy(time).to(now)[..., None])
         body = self.body_state(motions, windows, now, anchor)
         return Scene(x[rows, scored], step, body), Past(history[:, -2], history[:, -1])
 

@@ -19,6 +19,7 @@ from caphy.network.garment_network import GarmentNetwork
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.solve.statics import drape, drape_on_body
+from caphy.training.validate import ground_energies
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,15 @@ class Comparison:
     distance: mean distance between their vertices in each frame, (T - 1,) [m]. Cloth that buckles has many answers.
     correction: mean distance by which the solver moves the network's vertices, starting from them and their own
         past, (T - 1,) [m]: zero where the network's answer is one of the solver's.
+    corrected: total potential [J] of the frames so moved, (T - 1,): what the network has above it is what it has yet to
+        learn. Potentials along different pasts, as the following are, need not be ordered so.
     network, solver, template: total potential [J] in each frame, (T - 1,): of the network, of the solver, and of the
-        skinned template (the network before training), gravity relative to the last.
+        skinned template (the network before training), weight relative to the last.
     """
 
     distance: np.ndarray
     correction: np.ndarray
+    corrected: np.ndarray
     network: np.ndarray
     solver: np.ndarray
     template: np.ndarray
@@ -44,6 +48,7 @@ class Comparison:
         return {
             "distance_to_solver_mm": 1e3 * float(self.distance.mean()),
             "correction_by_solver_mm": 1e3 * float(self.correction.mean()),
+            "excess_potential_J": float((self.network - self.corrected).mean()),
             "potential_J": float(self.network.mean()),
             "potential_of_solver_J": float(self.solver.mean()),
             "potential_of_skinned_template_J": float(self.template.mean()),
@@ -66,9 +71,10 @@ def compare_with_solver(
     template = torch.from_numpy(motion.anchors(motion.times[1:]))
     newton = Newton(potential)
     solved, corrected = solve(newton, motion), correct(newton, motion, predicted)
-    ground = potential.energies(template).get("gravity", template.new_zeros(len(template))).numpy()
+    ground = sum(ground_energies(potential, template).values(), template.new_zeros(len(template))).numpy()
     energies = (step_energies(potential, motion, x) - ground for x in (predicted, solved, template))
-    return Comparison(*(_apart(predicted, x) for x in (solved, corrected)), *energies)
+    reached = step_energies(potential, motion, corrected, past=predicted) - ground
+    return Comparison(_apart(predicted, solved), _apart(predicted, corrected), reached, *energies)
 
 
 def solve(newton: Newton, motion: BodyMotion) -> Tensor:
@@ -76,7 +82,7 @@ def solve(newton: Newton, motion: BodyMotion) -> Tensor:
     x, _ = drape_on_body(newton, motion, float(motion.times[1]))
     frames = [carried_back(motion, x), x]
     for time in motion.times[2:].tolist():
-        step = Step.implicit_euler(1 / motion.fps, frames[-1], frames[-2])
+        step = Step.implicit_euler(1 / motion.fps, frames[-1], frames[-2], time)
         guess = motion.carried(frames[-1].numpy(), step.target.numpy(), time - step.dt, time)
         frames.append(newton.minimise(torch.from_numpy(guess), step, _body(motion, time, step.dt))[0])
     return torch.stack(frames[1:])
@@ -92,10 +98,14 @@ def correct(newton: Newton, motion: BodyMotion, x: Tensor) -> Tensor:
     return torch.stack(frames)
 
 
-def step_energies(potential: Potential, motion: BodyMotion, x: Tensor) -> np.ndarray:
-    """Total potential (T - 1,) [J] of a trajectory (T - 1, V, 3) that starts at rest in frame 1 of a motion."""
+def step_energies(potential: Potential, motion: BodyMotion, x: Tensor, past: Tensor | None = None) -> np.ndarray:
+    """Total potential (T - 1,) [J] of a trajectory (T - 1, V, 3) that starts at rest in frame 1 of a motion.
+
+    Each frame follows its own trajectory's last two frames, or those of the trajectory ``past``.
+    """
     dt, total = 1 / motion.fps, []
-    for time, step, frame in zip(motion.times[1:].tolist(), steps_of(motion, x), x, strict=True):
+    steps = steps_of(motion, x if past is None else past)
+    for time, step, frame in zip(motion.times[1:].tolist(), steps, x, strict=True):
         energies = potential.energies(frame, step, _body(motion, time, dt)(frame))
         total.append(sum(float(e) for e in energies.values()))
     return np.array(total)
@@ -104,7 +114,8 @@ def step_energies(potential: Potential, motion: BodyMotion, x: Tensor) -> np.nda
 def steps_of(motion: BodyMotion, x: Tensor) -> list[Step | None]:
     """Implicit Euler's steps along a trajectory (T - 1, V, 3) that starts at rest in frame 1 of a motion."""
     history = [carried_back(motion, x[0]), *x]
-    return [None, *(Step.implicit_euler(1 / motion.fps, b, a) for a, b in pairwise(history[:-1]))]
+    dt, times = 1 / motion.fps, motion.times[2:].tolist()
+    return [None, *(Step.implicit_euler(dt, b, a, t) for (a, b), t in zip(pairwise(history[:-1]), times, strict=True))]
 
 
 def _body(motion: BodyMotion, time: float, dt: float) -> Callable[[Tensor], BodyState]:

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from caphy.effects.cloth import Cloth
+from caphy.effects.potential import Potential
+from caphy.effects.registry import find_effect
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective, Past, Scene
@@ -19,6 +21,8 @@ CHUNK = 30
 """Frames evaluated at once: bounds memory."""
 SETTLED = 5
 """Frames at the start of a clip that do not count: the stream has no past yet."""
+SHORTEST = SETTLED + 4
+"""Frames of the shortest clip that there is something to measure in."""
 DEEP = 0.001
 """A vertex further inside the body than this counts as deep [m]."""
 
@@ -27,7 +31,7 @@ DEEP = 0.001
 class Frames:
     """Measures of T frames. Energies are those of the implicit Euler step from the trajectory's own last frames.
 
-    energy: name -> (T,) [J], gravity relative to the skinned template.
+    energy: name -> (T,) [J]; see :func:`ground_energies` for where that of weight is zero.
     stretch: largest principal stretch minus one of each face, (T, F).
     deep: share of vertices more than 1 mm inside the body, (T,).
     shake: root-mean-square acceleration of the vertices relative to the body, (T,) [m/s^2].
@@ -84,8 +88,8 @@ def clip_windows(start: int, stop: int, fresh: bool) -> Windows:
 def measure(objective: Objective, scene: Scene, offsets: Tensor) -> Frames:
     """Measures of the one stream of ``scene``; offsets (1, T or T + 2, V, 3) [m] may begin two frames early."""
     energy = objective.potential.energies(scene.x, scene.step, scene.body)
-    if "gravity" in energy:
-        energy["gravity"] = energy["gravity"] - objective.potential.energies(scene.body.anchor)["gravity"]
+    for name, ground in ground_energies(objective.potential, scene.body.anchor).items():
+        energy[name] = energy[name] - ground
     depth = ((scene.body.point - scene.x) * scene.body.normal).sum(-1)
     shake = (torch.diff(offsets, n=2, dim=1) / objective.dt**2).square().sum(-1).mean(-1).sqrt()
     return Frames(
@@ -94,6 +98,15 @@ def measure(objective: Objective, scene: Scene, offsets: Tensor) -> Frames:
         (depth > DEEP).double().mean(-1)[0].cpu().numpy(),
         shake[0].cpu().numpy(),
     )
+
+
+def ground_energies(potential: Potential, anchor: Tensor) -> dict[str, Tensor]:
+    """Energies at the skinned template (..., V, 3) [m] that depend on where in the world it is, name -> (...,) [J].
+
+    Weight, wherever it enters (gravity, a heavy hem, a tilt), counts relative to these.
+    """
+    energies = potential.energies(anchor)
+    return {name: energy for name, energy in energies.items() if find_effect(name).group in ("mass", "external")}
 
 
 def largest_stretch(x: Tensor, cloth: Cloth) -> np.ndarray:
