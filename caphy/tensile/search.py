@@ -66,14 +66,15 @@ class Search:
         return self._fits[key]
 
     def _nearer(self, fabric: str, extra: Sequence[Number]) -> list[Fit]:
-        """Fits to start from, since wide strains have several minima: the parameters alone, and the best so far with
-        some of these numbers and no others."""
+        """Fits to start from, since wide strains have several minima: of the parameters alone, without the last effect,
+        and the best so far with some of these numbers and no others."""
         if not extra:
             return []
-        first, allowed = self.fit(fabric), {*self.base, *extra}
+        shorter = [number for number in extra if number.effect != extra[-1].effect]
+        starts, allowed = [self.fit(fabric), self.fit(fabric, shorter)], {*self.base, *extra}
         some = [fit for (name, numbers), fit in self._fits.items() if name == fabric and set(numbers) < allowed]
-        best = min(some, key=lambda fit: fit.misfit)
-        return [first] if best is first else [first, best]
+        starts.append(min(some, key=lambda fit: fit.misfit))
+        return list({id(fit): fit for fit in starts}.values())
 
     def fits(self, extra: Sequence[Number] = ()) -> dict[str, Fit]:
         return {fabric: self.fit(fabric, extra) for fabric in self.benches}

@@ -21,6 +21,8 @@ NODES = 49
 """Axial strains at which curves are evaluated."""
 TRANSVERSE = np.linspace(0.05, 1.5, 146)
 """Transverse stretches that are tabulated."""
+_ROUNDS = 2
+_SLOPES = np.linspace(-1.5, 0.5, 41)  # transverse over axial stretch along a path
 _BEHIND = 1e-3  # of the stretch, where the last step of a slow loading began
 RATE = 10.0
 """Of stretch [1/s] for what needs motion: so fast that dry friction does not fade, and nothing else may act."""
@@ -46,15 +48,26 @@ class Strip:
         forces = sum((self.table(model, name) for name in elastic), np.zeros(self._shape))
         across, force = _balanced(forces, self.transverse)
         moving = [name for name in names if name not in elastic]
-        for _ in range(2 if moving else 0):  # friction acts against the path, which bends a little when it acts
-            slope = np.round(np.gradient(across, self.axial), 3) if len(self.axial) > 1 else np.zeros(1)
-            whole = forces + sum(self.table(model, name, slope) for name in moving)
+        slope = np.gradient(across, self.axial) if moving else across
+        for _ in range(_ROUNDS if moving else 0):  # friction acts against the path, which bends when it acts
+            whole = forces + sum(self._along_path(model, name, slope) for name in moving)
             across, force = _balanced(whole, self.transverse)
+            slope = 0.5 * (slope + np.gradient(across, self.axial))
         return ModelCurve(self.axial, across - 1, force)
 
     @property
     def _shape(self) -> tuple[int, int, int]:
         return 2, len(self.axial), len(self.transverse)
+
+    def _along_path(self, model: Model, name: str, slope: np.ndarray) -> Table:
+        """Forces of an effect that needs motion on a path of slopes (N,), between tables of constant slopes."""
+        place = np.clip((slope - _SLOPES[0]) / (_SLOPES[1] - _SLOPES[0]), 0, len(_SLOPES) - 1 - 1e-9)
+        low = place.astype(int)
+        total = np.zeros(self._shape)
+        for k in np.unique([low, low + 1]):
+            weight = np.where(low == k, 1 - place + low, np.where(low + 1 == k, place - low, 0.0))
+            total += weight[:, None] * self.table(model, name, np.full(len(self.axial), _SLOPES[k]))
+        return total
 
     def table(self, model: Model, name: str, slope: np.ndarray | None = None) -> Table:
         """Forces of one effect; ``slope`` (N,): transverse over axial stretch along the path, for friction."""

@@ -1,0 +1,73 @@
+"""Tabulated curves against the strip's balance solved by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_form import Sheet
+
+from caphy.effects.model import Model
+from caphy.effects.presets import fabric_model
+from caphy.measure.uniaxial import model_curve
+from caphy.tensile.candidates import candidates
+from caphy.tensile.strip import Strip
+
+STRAIN = np.linspace(0, 0.3, 31)
+STVK = {"strain_stvk": {"lame_lambda": 20.0, "lame_mu": 15.0}}
+
+
+def said(direction: str, **effects: dict):
+    model = Model(0.2, {**STVK, **effects})
+    return Strip(STRAIN, direction).curve(model, tuple(model.effects))
+
+
+@pytest.mark.parametrize("direction", ["weft", "warp"])
+def test_a_stiffening_orthotropic_strip(direction):
+    force, narrow = Sheet(90.0, 45.0, 20.0, fourth=800.0).curve(STRAIN, direction)
+    curve = said(direction, weft_warp_stiffness={"weft": 40.0, "warp": -5.0}, strain_stiffening={"stiffness": 800.0})
+    np.testing.assert_allclose(curve.transverse, narrow, atol=2e-5)
+    np.testing.assert_allclose(curve.force, force, rtol=2e-4, atol=2e-3)
+
+
+def test_friction_along_the_path():
+    """The path is taken from the balance without friction at first, so its start is coarse in narrowing."""
+    fine = np.linspace(0, 0.3, 301)
+    force, narrow = Sheet(50.0, 50.0, 20.0, friction=2.0).curve(fine, "weft")
+    curve = said("weft", hysteresis={"friction": 2.0})
+    np.testing.assert_allclose(curve.force[2:], force[20::10], rtol=0.02)
+    np.testing.assert_allclose(curve.transverse[6:], narrow[60::10], atol=3e-3)
+
+
+@pytest.mark.parametrize("name", ["gray-interlock", "ivory-rib-knit"])
+def test_measured_fabrics_as_compared(name):
+    """The same curve as ``caphy compare`` draws, which searches the balance without tables."""
+    model, strain = fabric_model(name), np.linspace(0, 0.2, 11)
+    slow = model_curve(model, strain, "weft")
+    quick = Strip(strain, "weft").curve(model, ("strain_measured",))
+    np.testing.assert_allclose(quick.force, slow.force, rtol=5e-3, atol=0.02)
+    np.testing.assert_allclose(quick.transverse, slow.transverse, atol=2e-3)
+
+
+def test_softening_takes_its_share_and_gives_it_back():
+    """Stress (1 - s (1 - W / W_m)) of the first loading's at equal narrowing, all of it from W_m on."""
+    first = said("weft")
+    work = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(STRAIN) * (first.force[1:] + first.force[:-1]))])
+    again = said("weft", softening={"share": 0.3, "reach": float(work[20])})
+    share = np.where(work < work[20], 1 - 0.3 * (1 - work / work[20]), 1.0)
+    np.testing.assert_allclose(again.force, share * first.force, rtol=2e-3, atol=1e-3)
+
+
+def test_which_effects_a_slow_pull_shows():
+    """Told by trying: in the plane, independent of size and rate, without force at no load."""
+    found = candidates(Model(0.2, STVK))
+    assert set(found.added) == {"hysteresis", "softening", "strain_stiffening", "weft_warp_stiffness"}
+    reasons = {
+        "gravity": "outside",
+        "bending": "does not change",
+        "shear_stiffness": "does not change",
+        "seam_stiffness": "edges",
+        "viscous_damping": "rate",
+        "shrinkage": "no load",
+    }
+    for name, word in reasons.items():
+        assert word in found.unseen[name]
