@@ -141,7 +141,7 @@ def diagnose(
     known = from_base(Study(scenes[count:more], progress=progress), model, on_body) if base else None
     start = model if known is None else known.model
     found = search(
-        study, start, on_body, 0.0 if known is None else known.gain, None if known is None else known.variance
+        study, start, on_body, None if known is None else known.gain, None if known is None else known.variance
     )
     errors = None
     if held_out:

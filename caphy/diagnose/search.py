@@ -15,8 +15,10 @@ from caphy.refit.evidence import Evidence, best_offset, evidence, robust_weights
 from caphy.refit.responses import Response
 from caphy.refit.study import Fit, Study, fit, picked, refined
 
-LEAST_GAIN = 0.05
+LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
+LEAST_GAIN_OVER_BASE = 0.01
+"""The same where base measurements tell what is found when nothing is missing."""
 LEAST_WALD = 20.0
 """Squared estimate over squared error."""
 OVER_BASE = 3.0
@@ -27,7 +29,7 @@ FINALISTS = 4
 """Explanations that are refitted on real roll-outs in each round, at most."""
 
 _CLOSE = 0.6  # of the best gain: what is refitted
-_TIE = 0.97  # of the best fall of the misfit: where fewer numbers win
+_TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
 _SECOND = 0.15  # share of the misfit that a second effect must take away by its refit
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 
@@ -78,11 +80,13 @@ class Search:
         return self.screens[0].model if self.fit is None else self.fit.model
 
 
-def search(study: Study, model: Model, on_body: bool, floor: float = 0.0, variance: np.ndarray | None = None) -> Search:
+def search(
+    study: Study, model: Model, on_body: bool, floor: float | None = None, variance: np.ndarray | None = None
+) -> Search:
     """Find what a model lacks in the windows of a study.
 
     Args:
-        floor: best gain of the library on base measurements.
+        floor: best gain of the library on base measurements; none without.
         variance: of each mode at each lag (L, M) [m^2], from base measurements; estimated here without.
     """
     found = Search()
@@ -109,7 +113,7 @@ def screen(
     model: Model,
     original: Model,
     on_body: bool,
-    floor: float = 0.0,
+    floor: float | None = None,
     variance: np.ndarray | None = None,
     weight: np.ndarray | None = None,
     offsets: Sequence[np.ndarray] | None = None,
@@ -125,7 +129,8 @@ def screen(
     known = replace(known, weight=weight)
     scores = screened(known, groups, places, model)
     chance = float(np.quantile(null_gains(known, groups, places, model), 0.99))
-    needed = max(LEAST_GAIN, OVER_BASE * floor, chance)
+    least = LEAST_GAIN if floor is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * floor)
+    needed = max(least, chance)
     return Screen(model, groups, places, responses, variance, known, scores, needed)
 
 
@@ -148,8 +153,8 @@ def _next_term(study: Study, found: Search) -> Term | None:
     reach = {label: found_fit.misfit - found_fit.promise for label, found_fit in fits.items()}
     leader = min(reach, key=lambda label: reach[label])
     fits[leader] = refined(study, fits[leader], last.variance, last.evidence.weight, f"fitting {leader}")
-    for label in reach:
-        if label != leader and reach[label] < fits[leader].misfit and not fits[label].converged:
+    for label, reached in reach.items():
+        if label != leader and reached < fits[leader].misfit and not fits[label].converged:
             fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
     fall = last.misfit - min(f.misfit for f in fits.values())
     if fall < (_SECOND if found.terms else last.needed) * last.misfit:

@@ -18,6 +18,7 @@ from caphy.refit.modes import Projection, laplacian_modes
 from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
 from caphy.solve.integrators import SDIRK2, State
 from caphy.solve.newton import Newton
+from caphy.solve.rollout import Simulator
 
 START_MODES = 20
 """Modes in which a window's start may be wrong; each in three axes, in positions and in velocities."""
@@ -92,7 +93,7 @@ class Watched:
         full = self.scene.potential(extended(model, columns or ()))
         tangents, states = Tangents(self.scene, newton, full, columns or (), pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
-        coarse = self.scene.simulator(potential, TOLERANCE)
+        coarse = Simulator(newton, self.scene.motion, pins=self.scene.pins)  # type: ignore[arg-type]
         errors = self._start()
         for frame, given in starts.items():
             recorder.stages.clear()

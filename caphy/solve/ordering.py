@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.sparse.csgraph import connected_components, maximum_bipartite_matchin
 
 _LEAF = 8  # vertices; measured best between 8 and 40 for meshes of 1,000 to 2,000 vertices
 _SHARES = (0.4, 0.45, 0.5, 0.55, 0.6)
+_REMEMBERED = 16  # meshes: a diagnosis solves dozens of models on the same few
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,9 @@ class Separator:
     """Places of the children in the list of separators; they come earlier."""
 
 
+_known: OrderedDict[tuple[bytes, ...], list[Separator]] = OrderedDict()
+
+
 def dissect(pattern: csr_array, positions: np.ndarray) -> list[Separator]:
     """Separators of a graph in elimination order, children before parents (George, SIAM J. Numer. Anal. 10, 1973).
 
@@ -29,6 +34,10 @@ def dissect(pattern: csr_array, positions: np.ndarray) -> list[Separator]:
         pattern: which vertices share an element, (V, V), symmetric, diagonal included.
         positions: where the vertices lie at rest [m], (V, 3); each part is cut across its longest extents.
     """
+    key = (pattern.indptr.tobytes(), pattern.indices.tobytes(), positions.tobytes())
+    if key in _known:
+        _known.move_to_end(key)
+        return _known[key]
     separators: list[Separator] = []
 
     def visit(vertices: np.ndarray) -> int:
@@ -38,6 +47,9 @@ def dissect(pattern: csr_array, positions: np.ndarray) -> list[Separator]:
         return len(separators) - 1
 
     visit(np.arange(len(positions)))
+    _known[key] = separators
+    while len(_known) > _REMEMBERED:
+        _known.popitem(last=False)
     return separators
 
 
