@@ -7,19 +7,17 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from caphy.effects.base import Elements, Parameter, Values, lent
+from caphy.effects.base import Effect, Elements, Parameter, Values, lent
 from caphy.effects.lending import MEMBRANES, membrane_density
 from caphy.effects.membrane import Membrane, Symmetric
-from caphy.effects.strain_stiffening import StrainStiffening
-from caphy.effects.weft_warp_stiffness import WeftWarpStiffness
 
 
 class Softening(Membrane):
     """Less tension below the stretch that was reached before, E = -A s (W - W^2 / (2 W_m)) [J] per face, W < W_m.
 
-    W is the energy per area of the model's own membrane (with its extra weft, warp and stiffening) and W_m the largest
-    it ever had. The stress is (1 - s (1 - W / W_m)) of the first loading's: least at rest, all of it from W_m on,
-    where E stays -A s W_m / 2. This is the pseudo-elasticity of the Mullins effect with the simplest law, of cloth
+    W is the energy per area of the model's own membrane, with whatever else stiffens it in its plane, and W_m the
+    largest it ever had. The stress is (1 - s (1 - W / W_m)) of the first loading's: least at rest, all of it from W_m
+    on, where E stays -A s W_m / 2. This is the pseudo-elasticity of the Mullins effect with the simplest law, of cloth
     whose largest earlier stretch is known, as in repeated tensile tests and after wear.
     """
 
@@ -33,18 +31,29 @@ class Softening(Membrane):
     borrows = (MEMBRANES,)
 
     def lenders(self, present: Iterable[str]) -> tuple[str, ...] | None:
-        """Its membrane, and what stiffens that where the model has it."""
+        """Its membrane, and whatever else stiffens the cloth in its plane."""
         names = set(present)
         needed = super().lenders(names)
-        return None if needed is None else (*needed, *(law.name for law in _EXTRA if law.name in names))
+        return None if needed is None else (*needed, *sorted(n for n in names - set(MEMBRANES) if _stiffens(n)))
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
         first = membrane_density(strain, p)
-        for law in _EXTRA:
-            if values := lent(p, law.name):
-                first = first + law.density(strain, e, values)
+        for name in sorted({key.split(".")[0] for key in p if "." in key} - set(MEMBRANES)):
+            law = _find(name)
+            assert isinstance(law, Membrane)
+            first = first + law.density(strain, e, lent(p, name))
         below = torch.clamp(first, max=p["reach"])
         return -p["share"] * (below - 0.5 * below * below / p["reach"])
 
 
-_EXTRA = (WeftWarpStiffness(), StrainStiffening())
+def _stiffens(name: str) -> bool:
+    """Whether an effect is a law of the strain alone: of no history, and of no other effect's parameters."""
+    law = _find(name)
+    return isinstance(law, Membrane) and not law.needs_step and not law.borrows
+
+
+def _find(name: str) -> Effect:
+    """As the registry's, which imports this file."""
+    from caphy.effects.registry import find_effect
+
+    return find_effect(name)

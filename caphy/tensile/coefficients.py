@@ -82,16 +82,8 @@ def _of_used(fabric: str, fit: Fit) -> list[Coefficient]:
         return []
     _, errors = learned(rows)
     wide = float(t.ppf(0.975, max(sum(len(row.stack) - 2 for row in rows), 1)))
-    return [
-        Coefficient(
-            fabric,
-            number.effect,
-            number.name,
-            value,
-            (float(max(value - wide * error, number.bounds[0])), float(min(value + wide * error, number.bounds[1]))),
-            number.unit,
-            True,
-            1.0,
-        )
-        for (number, value), error in zip(fit.bench.held, errors, strict=True)
-    ]
+    found = []
+    for (number, value), error, (low, high) in zip(fit.bench.held, errors, rows[0].bounds, strict=True):
+        interval = float(max(value - wide * error, low)), float(min(value + wide * error, high))
+        found.append(Coefficient(fabric, number.effect, number.name, value, interval, number.unit, True, 1.0))
+    return found

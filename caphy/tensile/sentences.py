@@ -33,10 +33,7 @@ def _verdict(d: CurveDiagnosis) -> str:
             f"{100 * abs(d.drift):.0f} % from each loading to the next, so it depends on the loading number."
         )
     if d.verdict == "named":
-        doubt = (
-            f" Of these {_listed(d.doubtful)} may stand in for a shape that no known effect has." if d.doubtful else ""
-        )
-        return f"Missing: {'; '.join(named)}.{doubt}"
+        return f"Missing: {'; '.join(named)}."
     partly = f" Nearest: {'; '.join(named)}, but {100 * d.left:.0f} % of the misfit is left." if named else ""
     return f"None of the known effects explains these tests.{partly}"
 
