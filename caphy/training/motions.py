@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -24,6 +24,11 @@ SPEEDS: Final = (0.8, 1.0, 1.25)
 """Each training clip is played at these speeds, as it is and mirrored."""
 
 POSE_SUFFIXES: Final = (".npz", ".bvh", ".amc", ".pt", ".pkl", ".npy")
+RATELESS: Final = ".amc"
+_CONVERT: Final = (
+    "AMC files do not say their frame rate; to use one, write it as npz with 'caphy poses convert FILE --fps RATE "
+    "--out FOLDER' (CMU recorded at 120)"
+)
 
 _MIRROR: Final = [
     JOINT_NAMES.index(name.replace("left", "\0").replace("right", "left").replace("\0", "right"))
@@ -31,8 +36,10 @@ _MIRROR: Final = [
 ]
 
 
-def find_poses(paths: Iterable[Path]) -> list[PoseSequence]:
+def find_poses(paths: Iterable[Path], say: Callable[[str], None] = print) -> list[PoseSequence]:
     """The motions in pose files and, sorted by name, in folders of them (searched to any depth).
+
+    AMC files do not say their frame rate: in folders they are passed over, and ``say`` is told which.
 
     Raises
         CaphyError: if a path does not exist, a folder holds no pose file, or a file cannot be read.
@@ -40,7 +47,13 @@ def find_poses(paths: Iterable[Path]) -> list[PoseSequence]:
     files: list[Path] = []
     for path in paths:
         inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in POSE_SUFFIXES) if path.is_dir() else [path]
-        if not inside:
+        rateless = [p for p in inside if p.suffix.lower() == RATELESS]
+        inside = [p for p in inside if p not in rateless]
+        if rateless and inside:
+            say(f"note: passed over {', '.join(p.name for p in rateless)} in {path}: {_CONVERT}")
+        elif rateless:
+            raise CaphyError(f"{path}: {_CONVERT}")
+        elif not inside:
             raise CaphyError(f"{path}: holds no pose file ({', '.join(POSE_SUFFIXES)})")
         files += inside
     return [part for file in files for part in continuous_parts(replace(read_poses(file), source=str(file)))]

@@ -77,6 +77,19 @@ def test_finds_pose_files_in_folders(tmp_path):
         find_poses([tmp_path / "empty"])
 
 
+def test_files_without_a_frame_rate_are_passed_over_and_named(tmp_path):
+    write_poses(swaying(7), tmp_path / "a.npz")
+    (tmp_path / "01_01.amc").write_text("whatever")
+    said: list[str] = []
+    assert [len(clip) for clip in find_poses([tmp_path], said.append)] == [7]
+    assert len(said) == 1 and "01_01.amc" in said[0] and "--fps" in said[0]
+    with pytest.raises(CaphyError, match=r"01_01\.amc.*poses convert"):
+        find_poses([tmp_path / "01_01.amc"])
+    (tmp_path / "a.npz").unlink()
+    with pytest.raises(CaphyError, match="do not say their frame rate"):
+        find_poses([tmp_path])
+
+
 def test_segments_stay_inside_their_clip(motions):
     for number in range(300):
         part = segment(motions, 3, 1, number)
