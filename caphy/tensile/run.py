@@ -1,0 +1,50 @@
+"""``caphy diagnose`` and ``caphy refit`` on .csv tables of tensile tests: read, answer, write, say what was written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from caphy.effects.model import Model
+from caphy.io.measurements import ForceCurve, read_force_curves
+from caphy.tensile.diagnosis import CurveDiagnosis, diagnose_curves
+from caphy.tensile.refit import CurveRefit, refit_curves
+from caphy.tensile.report import write
+
+
+def diagnose_tables(model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path] = ()) -> None:
+    """Diagnose a model from tables of force curves; raises :class:`caphy.errors.CaphyError`."""
+    from tqdm import tqdm
+
+    with tqdm(total=1, desc="effects", leave=False) as bar:
+
+        def progress(what: str, done: int, total: int) -> None:
+            bar.total = total
+            bar.set_postfix_str(what, refresh=False)
+            bar.update(done - bar.n)
+
+        answer = diagnose_curves(model, _curves(tables), _curves(held_out), progress)
+    _finish(answer, output, tables)
+
+
+def refit_tables(
+    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path] = (), add: Sequence[str] = ()
+) -> None:
+    """Refit a model with effects added to tables of force curves; raises :class:`caphy.errors.CaphyError`."""
+    _finish(refit_curves(model, _curves(tables), _curves(held_out), add), output, tables)
+
+
+def _curves(tables: Sequence[Path]) -> list[ForceCurve]:
+    return [curve for table in tables for curve in read_force_curves(table)]
+
+
+def _finish(result: CurveDiagnosis | CurveRefit, output: Path, tables: Sequence[Path]) -> None:
+    title = f"Tensile tests: {', '.join(table.stem for table in tables)}"
+    paths = write(result, output, title)
+    cautions = result.outcome.cautions if isinstance(result, CurveRefit) else result.cautions
+    print("\n".join([*result.sentences, *(f"Caution: {caution}" for caution in cautions)]))
+    print("\n" + "\n".join(map(str, paths)))
+    if isinstance(result, CurveDiagnosis) and result.verdict in ("named", "none of these"):
+        found = " ".join([*result.found, *result.found_used])
+        listed = " ".join(map(str, tables))
+        print(f"next: caphy refit MODEL {listed} --add {found}" if found else "next: caphy effects new NAME")
