@@ -23,7 +23,10 @@ SAFE_TRAVEL = 0.01
 """A vertex may travel its distance to the body plus this in one iteration [m]: thinner than any limb."""
 
 _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
-_HALVINGS = 30
+_HALVINGS = 10
+_LONGEST = 16
+_SLOW = 0.5  # fall of the residual in one iteration that counts as slow
+_LEAPS = 3  # steps that a minimisation may take without descent
 _DIRECTIONS = np.float32  # precision of Newton directions: relative errors of 1e-4 do not cost an iteration
 _PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
@@ -34,7 +37,8 @@ _STILL = 2e-3  # a vertex keeps its contact plane until it has moved this far [m
 _GROWTH = 2  # ... and this many times farther before each further renewal
 _TURN, _RADIUS = 0.02, 5e-3  # a normal may turn this far, plus one radian per move of this many metres
 _MOST = 0.5  # however far the vertex moved
-_RENEWALS = 1
+_SETTLING = 1000  # times the tolerance: the residual at which all planes are renewed, once; and at convergence ...
+_CLOSE = 5e-4  # ... those of vertices that have moved farther than this since [m]
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ class _Planes:
     def __init__(self, body: Body | None, x: Tensor) -> None:
         self._body, self._x = body, x
         self.state = None if body is None else body(x)
-        self._renewals, self._least = 0, x.new_full((len(x),), _STILL)
+        self._settled, self._least = 0, x.new_full((len(x),), _STILL)
 
     def follow(self, x: Tensor) -> bool:
         """Renew planes of vertices that have moved far enough; tells whether there were any.
@@ -90,10 +94,12 @@ class _Planes:
         """
         return self._renew(x, self._least)
 
-    def settle(self, x: Tensor) -> bool:
-        """Renew all planes at convergence, a few times at most; tells whether any moved."""
-        self._renewals += 1
-        return self._renewals <= _RENEWALS and self._renew(x, torch.zeros_like(self._least))
+    def settle(self, x: Tensor, converged: bool) -> bool:
+        """Renew planes once near convergence and once at convergence; tells whether any was."""
+        if self._settled > converged:
+            return False
+        self._settled = 1 + converged
+        return self._renew(x, torch.full_like(self._least, _CLOSE if converged else 0.0))
 
     def _renew(self, x: Tensor, least: Tensor) -> bool:
         if self._body is None or self.state is None:
@@ -159,23 +165,30 @@ class Newton:
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise CaphyError("the state to start from must be finite, with finite energy; check pose and garment")
-        level = 0
+        level, leaps = 0, 0
         for iteration in range(self.max_iterations):
-            if here.residual <= self.tolerance:
-                if not planes.settle(here.x):
-                    return here.x, Report(True, iteration, here.residual, "converged")
+            if here.residual <= _SETTLING * self.tolerance and planes.settle(here.x, here.residual <= self.tolerance):
                 here = self._evaluate(here.x, step, planes.state)
-                continue
+            if here.residual <= self.tolerance:
+                return here.x, Report(True, iteration, here.residual, "converged")
             factor, damping, level = self._factor(here, step, damping, level)
-            there, fraction = self._search(here, -factor.solve(here.gradient), step)
+            direction, fraction = _safe(here, -factor.solve(here.gradient))
+            there, fraction = self._search(here, direction, fraction, step)
+            if there is None and level < len(_PROJECTIONS) - 1:
+                level += 1
+                continue
+            if there is None and leaps < _LEAPS and step is not None:
+                leaps += 1
+                there, fraction = self._evaluate(here.x + 0.5 * torch.from_numpy(direction), step, here.body), 0.5
             if there is None:
                 if damping > 1e12:
                     return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
                 damping = max(100 * damping, 1.0)
                 continue
             if fraction >= 1:
-                damping = damping / 4 if damping > 1e-6 else 0.0
-            level = 0 if fraction >= 1 else level + 1
+                damping, level = damping / 4 if damping > 1e-6 else 0.0, max(level - 1, 0)
+            else:
+                level = min(level + 1, len(_PROJECTIONS) - 1)
             here = self._evaluate(there.x, step, planes.state) if planes.follow(there.x) else there
         converged = here.residual <= self.tolerance
         reason = "converged" if converged else f"stopped after {self.max_iterations} iterations"
@@ -216,18 +229,30 @@ class Newton:
                 return factor, damping
             damping = max(10 * damping, 1e-3)
 
-    def _search(self, here: _Point, direction: np.ndarray, step: Step | None) -> tuple[_Point | None, float]:
-        """The first halving of a safe step that lowers the energy enough (Armijo), and its fraction."""
-        direction, fraction = _safe(here, direction)
+    def _search(
+        self, here: _Point, direction: np.ndarray, fraction: float, step: Step | None
+    ) -> tuple[_Point | None, float]:
+        """The first halving of a step that lowers the energy enough (Armijo), and its fraction.
+
+        Where progress is slow (cloth about to buckle) full steps are doubled while that lowers the energy further:
+        an evaluation costs a tenth of an iteration.
+        """
         slope = float((here.gradient * direction).sum())
         rounding = 1e-13 * max(abs(here.energy), 1.0)
         move = torch.from_numpy(direction)
         for _ in range(_HALVINGS):
             there = self._evaluate(here.x + fraction * move, step, here.body)
             if there.energy <= here.energy + _SUFFICIENT * fraction * slope + rounding:
-                return there, fraction
+                break
             fraction /= 2
-        return None, 0.0
+        else:
+            return None, 0.0
+        while 1 <= fraction < _LONGEST and there.residual > _SLOW * here.residual:
+            farther = self._evaluate(here.x + 2 * fraction * move, step, here.body)
+            if not farther.energy < there.energy:
+                break
+            there, fraction = farther, 2 * fraction
+        return there, fraction
 
 
 def _safe(here: _Point, direction: np.ndarray) -> tuple[np.ndarray, float]:
