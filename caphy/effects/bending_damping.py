@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.hinge import Hinge, dihedral
+from caphy.effects.hinge import Hinge, dihedral, turn
 
 
 class BendingDamping(Hinge):
@@ -24,5 +26,15 @@ class BendingDamping(Hinge):
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
         assert e.origin is not None and e.dt is not None
-        scale = e.rest["length"] ** 2 / (8 * e.rest["area"] * e.dt)
-        return p["viscosity"] * scale * (angle - dihedral(e.origin)) ** 2
+        return damping_stiffness(e.rest, p, e.dt) * turn(angle, dihedral(e.origin)) ** 2
+
+    def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
+        """Moment [N m] and its slope [N m] at angles (..., n) [rad], in closed form."""
+        assert e.origin is not None and e.dt is not None
+        slope = 2 * damping_stiffness(e.rest, p, e.dt)
+        return slope * turn(angle, dihedral(e.origin)), slope
+
+
+def damping_stiffness(rest: Mapping[str, Tensor], p: Values, dt: float) -> Tensor:
+    """c l^2 / (8 A dt) [N m] of each hinge (n,): the energy is that times the squared change of angle."""
+    return p["viscosity"] * rest["length"] ** 2 / (8 * rest["area"] * dt)

@@ -16,6 +16,7 @@ from caphy.effects import kernels
 from caphy.effects.attachment import Attachment
 from caphy.effects.base import BodyState, Effect, Step, Values
 from caphy.effects.bending import Bending, bending_stiffness
+from caphy.effects.bending_damping import BendingDamping, damping_stiffness
 from caphy.effects.bending_measured import BendingMeasured, stiffness_nodes
 from caphy.effects.body_contact import BodyContact
 from caphy.effects.gravity import Gravity
@@ -54,6 +55,12 @@ def _bending(b: Bound) -> Arguments:
     return kernels.bending, (), (b.index, bending_stiffness(b.rest, b.values), *rest)
 
 
+def _bending_damping(b: Bound) -> Arguments:
+    assert b.step is not None
+    stiffness = damping_stiffness(b.rest, b.values, b.step.dt)
+    return kernels.bending_damping, (b.step.origin,), (b.index, stiffness, b.rest["length"], b.rest["area"])
+
+
 def _bending_measured(b: Bound) -> Arguments:
     rest = b.rest["angle"], b.rest["length"], b.rest["area"]
     return kernels.bending_measured, (), (b.index, stiffness_nodes(b.rest, b.values), *rest)
@@ -83,6 +90,7 @@ KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments]] = {
     StrainStVK: _strain_stvk,
     StrainMeasured: _strain_measured,
     Bending: _bending,
+    BendingDamping: _bending_damping,
     BendingMeasured: _bending_measured,
     Gravity: _gravity,
     Inertia: _inertia,

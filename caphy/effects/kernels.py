@@ -211,6 +211,21 @@ def bending(x, index, stiffness, rest_angle, length, area, energy, gradient):
 
 
 @_compiled
+def bending_damping(x, origin, index, stiffness, length, area, energy, gradient):
+    """Bending whose rest angles are those of ``origin`` (T, V, 3)."""
+    for t in range(x.shape[0]):
+        total = 0.0
+        for i in range(index.shape[0]):
+            before = _hinge(origin, t, index, i)[5]
+            edge, wing_c, wing_d, normal_c, normal_d, angle = _hinge(x, t, index, i)
+            turn = _turn(angle, before)
+            total += stiffness[i] * turn * turn
+            moment = 2.0 * stiffness[i] * turn
+            _add_moment(gradient, t, index, i, edge, wing_c, wing_d, normal_c, normal_d, length[i], area[i], moment)
+        energy[t] += total
+
+
+@_compiled
 def bending_measured(x, index, nodes, rest_angle, length, area, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0

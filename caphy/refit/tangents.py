@@ -16,16 +16,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
-from caphy.effects.base import BodyState, Step
+from caphy.effects.base import BodyState, Elements, Step
 from caphy.effects.inertia import Inertia
-from caphy.effects.potential import Potential
+from caphy.effects.potential import Potential, Term
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, forces
 from caphy.solve.integrators import Integrator, Solve, State
 from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
+
+HISTORY = ("origin", "target", "lagged", "lagged_velocity")
+"""What a step remembers."""
 
 _NUDGE = 1e-7  # metres by which a history is moved to see what it does
 
@@ -85,6 +89,7 @@ class Tangents:
         """
         self.scene, self.newton, self.candidates, self.columns = scene, newton, candidates, columns
         self.pushes = pushes
+        self._reads: dict[str, tuple[str, ...]] = {}  # which fields of the history each effect reads
         free = np.ones(len(scene.garment.vertices)) if scene.fixed is None else (~scene.fixed).astype(float)
         self._free = torch.from_numpy(free)[:, None]
 
@@ -117,30 +122,20 @@ class Tangents:
         return torch.from_numpy(-factor.solve(right)).permute(2, 0, 1).contiguous()
 
     def _of_history(self, stage: Stage, body: BodyState | None, change: Step) -> Tensor:
-        """Change of the model's gradient (K, V, 3) with the step's history, by differences."""
+        """Change of the model's gradient (K, V, 3) with the step's history."""
         total = torch.zeros_like(change.target)
-        fields = ("origin", "target", "lagged", "lagged_velocity")
-        size = torch.stack(
-            [
-                getattr(change, name).abs().amax(dim=(1, 2)) * (change.dt if name == "lagged_velocity" else 1)
-                for name in fields
-            ]
-        ).amax(0)
-        nudge = (_NUDGE / size.clamp_min(1e-30))[:, None, None]
-        there = {name: getattr(stage.step, name) + nudge * getattr(change, name) for name in fields}
-        potential, x = self.newton.potential, stage.x
-        for term in potential.terms.values():
-            effect = term.effect
-            if isinstance(effect, Inertia):
+        potential = self.newton.potential
+        for name, term, elements in potential.acting(stage.x, stage.step, body):
+            if isinstance(term.effect, Inertia):
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
-                continue
-            if not (effect.needs_step or effect.reads_step) or (effect.needs_body and body is None):
-                continue
-            here = _gradient(potential, term, x, stage.step, body)
-            count = len(nudge)
-            seen = None if body is None else body.map(lambda f, n=count: f.expand(n, *f.shape))
-            after = _gradient(potential, term, x.expand(count, *x.shape), replace(stage.step, **there), seen)
-            total += (after - here) / nudge
+            elif term.effect.needs_step or term.effect.reads_step:
+                for field in self._reads.get(name, HISTORY):
+                    matrix = _history_matrix(term, elements, field, len(stage.x))
+                    if matrix is None:
+                        self._reads[name] = tuple(f for f in self._reads.get(name, HISTORY) if f != field)
+                        continue
+                    by = getattr(change, field).numpy().reshape(len(total), -1)
+                    total += torch.from_numpy((matrix @ by.T).T).reshape(total.shape)
         return total
 
     def _bodies(self, stages: Sequence[Stage]) -> list[BodyState | None]:
@@ -153,10 +148,7 @@ class Tangents:
         """What each column adds to the gradient in each stage, (K, V, 3) each; all stages at once."""
         if not self.columns and self.pushes is None:
             return [torch.zeros((0, *stages[0].x.shape), dtype=torch.float64)] * len(stages)
-        fields = {
-            name: torch.stack([getattr(s.step, name) for s in stages])
-            for name in ("origin", "target", "lagged", "lagged_velocity")
-        }
+        fields = {name: torch.stack([getattr(s.step, name) for s in stages]) for name in HISTORY}
         times = torch.tensor([float(s.step.time) for s in stages], dtype=torch.float64)[:, None]
         step = Step(stages[0].step.dt, **fields, time=times)
         bodies = [body for body in self._bodies(stages) if body is not None]
@@ -169,9 +161,31 @@ class Tangents:
         return list(forces(self.candidates, self.columns, x, step, body))
 
 
-def _gradient(potential: Potential, term, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
-    elements = potential.elements(term, x, step, body)
-    return term.scatter(term.effect.gradient(elements, term.values)[1]).movedim(0, -1)
+def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_array | None:
+    """Derivative of one effect's gradient by a field of the history (3 V, 3 V); none where it does not read it.
+
+    By differences in each element's own dozen coordinates.
+    """
+    corners, many = e.x.shape[0], e.x.shape[-1]
+    basis = torch.eye(3 * corners, dtype=e.x.dtype).reshape(corners, 3, -1, 1)  # (k, 3, B, 1)
+
+    def spread(value: Tensor) -> Tensor:
+        return value[..., None, :].expand(*value.shape[:-1], basis.shape[2], many)
+
+    body = None if e.body is None else {key: spread(value) for key, value in e.body.items()}
+    fields = {name: spread(getattr(e, name)) for name in HISTORY}
+    wide = replace(e, x=spread(e.x), body=body, **fields)
+    assert e.dt is not None
+    nudge = _NUDGE / e.dt if field == "lagged_velocity" else _NUDGE
+    here = term.effect.gradient(wide, term.values)[1]
+    after = term.effect.gradient(replace(wide, **{field: fields[field] + nudge * basis}), term.values)[1]
+    if torch.equal(here, after):
+        return None
+    jacobian = ((after - here) / nudge).flatten(0, 1)  # (k c, B, n)
+    place = (3 * term.index.T[:, None, :] + torch.arange(3)[None, :, None]).flatten(0, 1)  # (k c, n)
+    row, column = torch.broadcast_tensors(place[:, None], place[None])
+    entries = (jacobian.numpy().ravel(), (row.numpy().ravel(), column.numpy().ravel()))
+    return coo_array(entries, (3 * count, 3 * count)).tocsr()
 
 
 def recorded_simulator(scene: Scene, newton: Newton, integrator: Integrator) -> tuple[Simulator, Recorder]:
