@@ -37,8 +37,9 @@ _STILL = 2e-3  # a vertex keeps its contact plane until it has moved this far [m
 _GROWTH = 2  # ... and this many times farther before each further renewal
 _TURN, _RADIUS = 0.02, 5e-3  # a normal may turn this far, plus one radian per move of this many metres
 _MOST = 0.5  # however far the vertex moved
-_SETTLING = 1000  # times the tolerance: the residual at which all planes are renewed, once; and at convergence ...
-_CLOSE = 5e-4  # ... those of vertices that have moved farther than this since [m]
+_SETTLING = 1000  # times the tolerance: the residual at which all planes are renewed once
+_SETTLED = 1e-5  # at convergence those are renewed whose vertices have moved farther than this since [m]:
+_RENEWALS, _STATIC_RENEWALS = 1, 30  # so often at most
 
 
 @dataclass(frozen=True)
@@ -94,12 +95,13 @@ class _Planes:
         """
         return self._renew(x, self._least)
 
-    def settle(self, x: Tensor, converged: bool) -> bool:
-        """Renew planes once near convergence and once at convergence; tells whether any was."""
-        if self._settled > converged:
+    def settle(self, x: Tensor, renewals: int) -> bool:
+        """Renew planes, once near convergence and then ``renewals`` times at most; tells whether any was."""
+        if self._settled > renewals:
             return False
-        self._settled = 1 + converged
-        return self._renew(x, torch.full_like(self._least, _CLOSE if converged else 0.0))
+        self._settled += 1
+        self._least = torch.full_like(self._least, _STILL)
+        return self._renew(x, torch.full_like(self._least, _SETTLED))
 
     def _renew(self, x: Tensor, least: Tensor) -> bool:
         if self._body is None or self.state is None:
@@ -167,7 +169,8 @@ class Newton:
             raise CaphyError("the state to start from must be finite, with finite energy; check pose and garment")
         level, leaps = 0, 0
         for iteration in range(self.max_iterations):
-            if here.residual <= _SETTLING * self.tolerance and planes.settle(here.x, here.residual <= self.tolerance):
+            renewals = (_STATIC_RENEWALS if step is None else _RENEWALS) if here.residual <= self.tolerance else 0
+            if here.residual <= _SETTLING * self.tolerance and planes.settle(here.x, renewals):
                 here = self._evaluate(here.x, step, planes.state)
             if here.residual <= self.tolerance:
                 return here.x, Report(True, iteration, here.residual, "converged")

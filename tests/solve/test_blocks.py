@@ -1,0 +1,71 @@
+"""Compiled element Hessians against those of the effects themselves."""
+
+import numpy as np
+import pytest
+import torch
+
+from caphy.effects.base import Step
+from caphy.effects.bending import bending_stiffness
+from caphy.effects.blocks import add_blocks
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+
+ELASTIC = ["strain_stvk", "strain_measured", "bending", "bending_measured"]
+
+
+def assembled(index, blocks, count):
+    """The dense matrix (3 V, 3 V) of element blocks (n, k, k, 3, 3)."""
+    dense = np.zeros((count, count, 3, 3))
+    np.add.at(dense, (index[:, :, None], index[:, None, :]), blocks)
+    return dense.swapaxes(1, 2).reshape(3 * count, 3 * count)
+
+
+@pytest.mark.parametrize("name", [*ELASTIC, "inertia"])
+@pytest.mark.parametrize("projection", [0.0, 0.3, 1.0])
+def test_compiled_blocks_are_the_effects_own(sheet, name, projection):
+    cloth = sheet(0.4, 0.3, 5, 4)
+    potential = Potential(Model(0.2, {name: {}}), cloth)
+    rng = np.random.default_rng(5)
+    x = torch.from_numpy(cloth.vertices + 0.03 * rng.normal(size=cloth.vertices.shape))
+    ((_, term, elements),) = potential.acting(x, Step.implicit_euler(1 / 30, x, x), None)
+    exact, convex = term.effect.hessian(elements, term.values), term.effect.projected_hessian(elements, term.values)
+    mixture = torch.lerp(exact, convex, float(projection > 0) if term.effect.element == "vertex" else projection)
+    index = term.index.numpy()
+    count = len(x)
+    expected = assembled(index, mixture.numpy().transpose(4, 0, 2, 1, 3), count)
+    slots = (index[:, :, None] * count + index[:, None, :]).astype(np.int32)
+    blocks = np.zeros((count * count, 3, 3))
+    add_blocks(term, elements, x.numpy(), projection, slots, blocks)
+    found = blocks.reshape(count, count, 3, 3).swapaxes(1, 2).reshape(3 * count, 3 * count)
+    np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
+
+
+def test_only_stored_pairs_are_written(sheet):
+    cloth = sheet(0.4, 0.3, 4, 3)
+    potential = Potential(Model(0.2, {"bending": {}}), cloth)
+    x = torch.from_numpy(cloth.vertices)
+    ((_, term, elements),) = potential.acting(x, None, None)
+    blocks = np.zeros((1, 3, 3))
+    add_blocks(term, elements, x.numpy(), 1.0, np.full((len(term.index), 4, 4), -1, np.int32), blocks)
+    assert not blocks.any()
+
+
+def test_a_hinge_that_folds_through_itself_keeps_its_energy(sheet):
+    """Wings half a micrometre on either side of flat together: pi is -pi, whatever the rest angle."""
+    cloth = sheet(0.1, 0.1, 2, 2)
+    edge = cloth.hinges[0]
+    potential = Potential(Model(0.2, {"bending": {}}), cloth)
+    potential.terms["bending"].rest["angle"] += 0.4
+    closed = cloth.vertices.copy()
+    a, b, c = (closed[edge[i]] for i in range(3))
+    along = (b - a) / np.linalg.norm(b - a)
+    closed[edge[3]] = c  # the wings coincide
+    across = np.cross(along, c - a) / np.linalg.norm(np.cross(along, c - a))
+    stiffness = float(bending_stiffness(potential.terms["bending"].rest, potential.terms["bending"].values)[0])
+    for side in (-1, 1):
+        x = closed.copy()
+        x[edge[3]] += side * 5e-7 * across
+        energy, _ = potential.gradient(torch.from_numpy(x))
+        (defined,) = potential.energies(torch.from_numpy(x)).values()
+        assert float(energy) == pytest.approx(stiffness * (np.pi - 0.4) ** 2, rel=1e-4)
+        assert float(defined) == pytest.approx(float(energy), rel=1e-12)
