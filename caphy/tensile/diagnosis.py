@@ -25,6 +25,7 @@ from caphy.tensile.unexplained import Dependence, dependence, drift, share_left
 
 MOSTLY = 0.3
 """Share of the misfit that may be left for an answer to be a name."""
+_RIVAL = 0.5  # share of the best gain from which another effect counts as a rival
 _FABRICS = 3  # needed to leave one out
 
 
@@ -47,6 +48,7 @@ class CurveDiagnosis:
         drift: change of force from one loading to the next, where it goes on and on; else None.
         models: by fabric, of the first loading and of used cloth.
         unseen: effects that tensile tests cannot show, with the reason.
+        rivals: sentences on effects of used cloth that are nearly as good as the one that is named.
         ambiguity: sentences on what these tests cannot tell apart, and the test that would.
     """
 
@@ -64,6 +66,7 @@ class CurveDiagnosis:
     drift: float | None
     models: Mapping[str, tuple[Model, Model]]
     unseen: Mapping[str, str]
+    rivals: tuple[str, ...]
     ambiguity: tuple[str, ...]
     cautions: tuple[str, ...]
     fits: Mapping[str, Mapping[str, Fit]]
@@ -177,6 +180,7 @@ def answer(
         drift=drifting,
         models={fabric: fit.models for fabric, fit in fits.items()},
         unseen=seen.unseen,
+        rivals=tuple(_rivals(ranking, used)),
         ambiguity=tuple(_ambiguity(search, names)),
         cautions=tuple(cautions),
         fits=stages,
@@ -272,6 +276,20 @@ def _fabric_errors(
             "their numbers": summary(curve_errors(bench.tests, plain, bench.tests, own=True)),
         }
     return rows
+
+
+def _rivals(ranking: Sequence[Ranked], used: Sequence[str]) -> list[str]:
+    """Whether other effects explain what repeats have nearly as well as the one that is named, in a sentence."""
+    gains = {row.effect: row.gain for row in ranking if row.used and row.accepted}
+    named = [name for name in used if name in gains]
+    rivals = [name for name in gains if named and name not in used and gains[name] > _RIVAL * gains[named[0]]]
+    if not rivals:
+        return []
+    listed = ", ".join(f"{name} ({100 * gains[name]:.0f} %)" for name in rivals)
+    return [
+        f"From the second loading on {listed} explains the difference nearly as well as {named[0]} "
+        f"({100 * gains[named[0]]:.0f} %): loading curves do not decide; unloading would, since friction opens a loop."
+    ]
 
 
 def _ambiguity(search: Search, names: Sequence[str]) -> list[str]:

@@ -28,6 +28,7 @@ def figures(diagnosis: CurveDiagnosis) -> dict:
         "complete": diagnosis.complete,
         "left": diagnosis.left,
         "sentences": diagnosis.sentences,
+        "rivals": list(diagnosis.rivals),
         "ambiguity": list(diagnosis.ambiguity),
         "cautions": list(diagnosis.cautions),
         "ranking": [_finite(asdict(row)) | {"accepted": row.accepted} for row in diagnosis.ranking],

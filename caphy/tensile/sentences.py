@@ -18,7 +18,7 @@ _DEPENDS = 0.1  # share of the residual that a covariate must explain to be name
 
 def said(diagnosis: CurveDiagnosis) -> list[str]:
     """The answer, the errors, what is left."""
-    return [_verdict(diagnosis), *_errors(diagnosis), *_fabrics(diagnosis), *_left(diagnosis)]
+    return [_verdict(diagnosis), *diagnosis.rivals, *_errors(diagnosis), *_fabrics(diagnosis), *_left(diagnosis)]
 
 
 def _verdict(d: CurveDiagnosis) -> str:
