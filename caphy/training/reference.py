@@ -79,7 +79,17 @@ def compare_with_solver(
 
 def solve(newton: Newton, motion: BodyMotion) -> Tensor:
     """Implicit Euler's trajectory (T - 1, V, 3) [m] from a static drape in frame 1 of a motion."""
-    x, _ = drape_on_body(newton, motion, float(motion.times[1]))
+    return _onwards(newton, motion, drape_on_body(newton, motion, float(motion.times[1]))[0])
+
+
+def solve_from(newton: Newton, motion: BodyMotion, start: Tensor) -> Tensor:
+    """As :func:`solve`, from the static drape nearest to positions ``start`` (V, 3) [m] in frame 1 of a motion."""
+    body = _body(motion, float(motion.times[1]), 1 / motion.fps)
+    return _onwards(newton, motion, drape(newton, start, body)[0])
+
+
+def _onwards(newton: Newton, motion: BodyMotion, x: Tensor) -> Tensor:
+    """Implicit Euler's trajectory (T - 1, V, 3) [m] from rest at x (V, 3) in frame 1 of a motion."""
     frames = [carried_back(motion, x), x]
     for time in motion.times[2:].tolist():
         step = Step.implicit_euler(1 / motion.fps, frames[-1], frames[-2], time)

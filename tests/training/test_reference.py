@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -14,13 +12,13 @@ from caphy.effects.cloth import Cloth
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
 from caphy.network.garment_network import GarmentNetwork
-from caphy.training.learner import Learner, offset_basis, stiffness
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective
+from caphy.training.overtrain import overtrain
 from caphy.training.reference import compare_with_solver
-from caphy.training.validate import clip_windows, standing, static_drape, stream_drift
+from caphy.training.validate import static_drape, stream_drift
 
-FRAMES, STEPS, RATE = 8, 900, 1e-2
+FRAMES, STEPS = 8, 900
 
 
 def test_overtrained_network_moves_as_the_solver():
@@ -32,19 +30,8 @@ def test_overtrained_network_moves_as_the_solver():
     motions = Motions.of([clip], body, network.driving, 30.0)
     quick = Potential(model, potential.cloth, torch.float32)
     objective = Objective(quick, body, network.template, network.weights, 30.0)
-    learner = Learner(network, offset_basis(stiffness(potential, 30.0)))
-    optimizer = torch.optim.Adam(learner.parameters())
-    windows = clip_windows(1, FRAMES, True)
-    features, hidden = windows.features(motions), torch.zeros(2, 1, 64)
     before = compare_with_solver(network, potential, body, garment, clip)
-    for step in range(STEPS):
-        optimizer.param_groups[0]["lr"] = RATE * (0.505 + 0.495 * math.cos(math.pi * step / STEPS))
-        offsets, _ = learner(features, hidden)
-        loss, _ = objective(motions, windows, offsets, standing(network.template))
-        optimizer.zero_grad()
-        loss.mean().backward()
-        optimizer.step()
-    learner.fold(network)
+    assert overtrain(network, objective, motions, STEPS) == STEPS
     after = compare_with_solver(network, potential, body, garment, clip)
     assert np.median(after.correction) < 0.15 * np.median(before.correction)
     assert 0.995 < after.summary()["share_of_solver_s_decrease"] < 1.005
