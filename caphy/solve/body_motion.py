@@ -47,6 +47,7 @@ class BodyMotion:
         self._quaternions = quaternion_from_axis_angle(self.poses.poses)
         self._surface = Surface.of(body.faces, body.v_template)
         self._faces = np.zeros(0, dtype=np.int64)  # answers of the last query, which speed up the next
+        self._last: tuple[float, np.ndarray, NearestPoints] | None = None  # time, positions and answers
         self._posed: OrderedDict[float, np.ndarray] = OrderedDict()
         self._anchor_time, self._anchors = np.nan, garment.vertices
 
@@ -114,10 +115,24 @@ class BodyMotion:
 
     def nearest(self, time: float, x: np.ndarray) -> NearestPoints:
         """Nearest points of the body surface at a time [s] for positions x (V, 3) [m]."""
-        guess = self._faces if len(self._faces) == len(x) else None
-        found = self._surface.nearest(x, self.vertices(np.array([time]))[0], guess)
-        self._faces = found.face
+        body = self.vertices(np.array([time]))[0]
+        if self._last is None or self._last[0] != time or len(self._last[1]) != len(x):
+            guess = self._faces if len(self._faces) == len(x) else None
+            found = self._surface.nearest(x, body, guess)
+        else:
+            found = self._renewed(x, body, *self._last[1:])
+        self._faces, self._last = found.face, (time, x.copy(), found)
         return found
+
+    def _renewed(self, x: np.ndarray, body: np.ndarray, before: np.ndarray, found: NearestPoints) -> NearestPoints:
+        """Nearest points of positions x (V, 3) of which most are where they were; only the others are looked for."""
+        moved = np.flatnonzero((x != before).any(1))
+        if not len(moved):
+            return found
+        fields = tuple(field.copy() for field in found)
+        for field, new in zip(fields, self._surface.nearest(x[moved], body, found.face[moved]), strict=True):
+            field[moved] = new
+        return NearestPoints(*fields)
 
     def state(self, time: float, x: np.ndarray, dt: float) -> BodyState:
         """What positions x (V, 3) [m] see of the body at a time [s].

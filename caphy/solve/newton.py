@@ -109,7 +109,7 @@ class _Planes:
         moved = (x - self._x).norm(dim=1)
         if not (moved > least).any():
             return False
-        found = self._body(x)
+        found = self._body(torch.where((moved > least)[:, None], x, self._x))
         turned = (found.normal - self.state.normal).norm(dim=1)
         new = (moved > least) & (turned <= torch.clamp(_TURN + moved / _RADIUS, max=_MOST))
         self._least = torch.where(new, _GROWTH * self._least, self._least)

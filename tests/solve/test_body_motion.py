@@ -54,6 +54,18 @@ def test_between_frames_limbs_turn_rigidly(box_body, mat):
     np.testing.assert_allclose(half, box_body.v_template @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]), atol=1e-12)
 
 
+def test_only_moved_points_are_looked_for_again(box_body, mat):
+    """Answers are those of a fresh body, wherever some of the points have gone and whatever the time was before."""
+    motion = BodyMotion(box_body, sliding(turn=0.3), mat)
+    rng = np.random.default_rng(6)
+    x = motion.anchors(np.array([0.0]))[0] + 0.1 * rng.normal(size=mat.vertices.shape)
+    for time, share in ((0.0, 1.0), (0.0, 0.3), (0.0, 0.0), (0.1, 0.0), (0.1, 0.5)):
+        x = x + 0.3 * rng.normal(size=x.shape) * (rng.random(len(x)) < share)[:, None]
+        expected = BodyMotion(box_body, sliding(turn=0.3), mat).nearest(time, x)
+        for found, field in zip(motion.nearest(time, x), expected, strict=True):
+            np.testing.assert_allclose(found, field, atol=1e-12)
+
+
 def test_cloth_on_the_body_is_carried_along(box_body, mat):
     motion = BodyMotion(box_body, sliding(turn=0.3), mat)
     x = motion.anchors(np.array([0.0]))[0] - [0, 0.0099, 0]
