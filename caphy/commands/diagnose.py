@@ -42,7 +42,7 @@ class Diagnose:
 def main(arguments: list[str]) -> None:
     """Run ``caphy diagnose`` with the arguments after it."""
     command = tyro.cli(Diagnose, args=arguments, prog="caphy diagnose")
-    model = _physics(command.model, command.effect_file)
+    model = physics_model(command.model, command.effect_file)
     tables = [path for path in command.measurements if path.suffix == ".csv"]
     if tables and len(tables) < len(command.measurements):
         raise CaphyError("give either measurements in motion or tables of tensile tests, not both at once")
@@ -52,7 +52,8 @@ def main(arguments: list[str]) -> None:
     write(_diagnosed(command, model), command)
 
 
-def _physics(name: str, effect_files: tuple[Path, ...]) -> Model:
+def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
+    """The physics model of a JSON file or name; raises :class:`CaphyError` for an avatar."""
     from caphy.effects.model import Model
 
     model = load_model(name, effect_files)
@@ -94,11 +95,6 @@ def write(diagnosis: Diagnosis, command: Diagnose) -> None:
 
 
 def _diagnose_curves(command: Diagnose, model: Model) -> None:
-    from caphy.io.measurements import read_force_curves
-    from caphy.tensile import diagnose_curves
-    from caphy.tensile.report import write as write_curves
+    from caphy.tensile.run import diagnose_tables
 
-    curves = [curve for path in command.measurements for curve in read_force_curves(path)]
-    held_out = [curve for path in command.held_out for curve in read_force_curves(path)]
-    for path in write_curves(diagnose_curves(model, curves, held_out), command.output):
-        print(path)
+    diagnose_tables(model, command.measurements, command.output, command.held_out)

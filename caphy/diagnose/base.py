@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from caphy.diagnose.groups import columns_of, own_groups
-from caphy.diagnose.search import screen
+from caphy.diagnose.search import search
 from caphy.effects.model import Model
-from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.study import Study, fit
+from caphy.refit.study import Study
 
-_WORTH = 0.02  # share of the misfit that fitted parameters must take away, or the user's stay
-_ROUNDS = 3
+_MOST = 2  # corrections
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,9 +18,11 @@ class Base:
     """Learned from base measurements.
 
     Attributes:
-        model: with parameters fitted to them.
-        changed: relative changes of parameters, by "effect.parameter"; empty where the user's were good.
-        gain: best gain of the library there, where nothing is missing.
+        model: with what they ask for: parameters fitted, and effects that stand for what the mesh and the solver get
+            wrong. Nothing is missing there, so an effect that they seem to need is such a correction.
+        changed: fitted numbers, by "effect.parameter"; relative changes of the user's own parameters. Empty where the
+            user's model was good.
+        gain: best gain of the library after that.
         variance: what is left in each mode at each lag (L, M) [m^2].
         median_mm: median distance there.
     """
@@ -36,18 +35,11 @@ class Base:
 
 
 def from_base(study: Study, model: Model, on_body: bool) -> Base:
-    """Fit the model's own parameters to base measurements, then see what the library would wrongly find there."""
-    columns, _ = columns_of(own_groups(model, model))
-    offsets = study.settled(model)
-    responses = study.respond(model, columns, offsets, "base")
-    variance = study.variance(responses)
-    known = evidence(responses, variance)
-    fitted = fit(study, model, columns, responses, variance, robust_weights(known), "base parameters", _ROUNDS)
-    start = float((fitted.evidence.weight * known.c).sum())
-    worth = fitted.misfit < (1 - _WORTH) * start
-    best = fitted.model if worth else model
-    found = screen(study, best, best, on_body)
-    changed = dict(zip([c.name for c in columns], map(float, fitted.change), strict=True)) if worth else {}
-    added = [score.gain for score in found.scores if not score.group.own]
-    errors = np.concatenate([response.error.ravel() for response in found.responses])
-    return Base(best, changed, max([*added, 0.0]), found.variance, 1e3 * float(np.nanmedian(errors)))
+    """Correct a model by base measurements, then see what the library would wrongly find there."""
+    found = search(study, model, model, on_body, most=_MOST)
+    last, changed = found.screens[-1], {}
+    if found.fit is not None:
+        changed = dict(zip([c.name for c in found.fit.columns], map(float, found.fit.change), strict=True))
+    errors = np.concatenate([response.error.ravel() for response in last.responses])
+    best = max([score.gain for score in last.scores] + [0.0])
+    return Base(found.model, changed, best, last.variance, 1e3 * float(np.nanmedian(errors)))

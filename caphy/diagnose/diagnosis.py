@@ -111,7 +111,7 @@ class Diagnosis:
 def diagnose(
     model: Model,
     measurements: Sequence[Measurement],
-    base: Sequence[Measurement] = (),
+    base: Sequence[Measurement] | Base = (),
     held_out: Sequence[Measurement] = (),
     garment: Garment | None = None,
     body: BodyModel | None = None,
@@ -123,7 +123,8 @@ def diagnose(
         model: what the user believes.
         measurements: where it may fail.
         base: measurements of the same cloth for which the model's effects are trusted: its parameters are fitted to
-            them, and what they leave is what a solver and a mesh leave where nothing is missing.
+            them, and what they leave is what a solver and a mesh leave where nothing is missing. Or what an earlier
+            diagnosis learned from them.
         held_out: measurements that nothing is fitted to.
         garment, body: as in :meth:`caphy.measure.scene.Scene.of`.
         progress: told what is being done.
@@ -134,19 +135,22 @@ def diagnose(
     began = time.perf_counter()
     if not measurements:
         raise CaphyError("give at least one measurement to diagnose")
-    scenes = [_scene(measurement, garment, body) for measurement in (*measurements, *base, *held_out)]
-    count, more = len(measurements), len(measurements) + len(base)
+    calm = () if isinstance(base, Base) else tuple(base)
+    scenes = [_scene(measurement, garment, body) for measurement in (*measurements, *calm, *held_out)]
+    count, more = len(measurements), len(measurements) + len(calm)
     study = Study(scenes[:count], progress=progress)
     on_body = scenes[0].motion is not None
-    known = from_base(Study(scenes[count:more], progress=progress), model, on_body) if base else None
+    known = base if isinstance(base, Base) else None
+    if calm:
+        known = from_base(Study(scenes[count:more], progress=progress), model, on_body)
     start = model if known is None else known.model
     found = search(
-        study, start, on_body, None if known is None else known.gain, None if known is None else known.variance
+        study, start, model, on_body, None if known is None else known.gain, None if known is None else known.variance
     )
     errors = None
-    if held_out:
+    if held_out and found.terms:
         errors = held_out_errors(scenes[more:], start, found.model, found.screens[0].variance, progress)
-    elsewhere = outside(study, found)
+    elsewhere = outside(found)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
 
 

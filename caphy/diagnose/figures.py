@@ -71,8 +71,8 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
         held = diagnosis.held_out
         said.append(f"On held-out measurements it falls from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
     if diagnosis.base is not None and diagnosis.base.changed:
-        moved = ", ".join(f"{name} {100 * by:+.0f} %" for name, by in diagnosis.base.changed.items())
-        said.append(f"The base measurements moved the model's own parameters: {moved}.")
+        moved = ", ".join(f"{name} {by:+.2g}" for name, by in diagnosis.base.changed.items())
+        said.append(f"The base measurements corrected the model beforehand (mesh, solver, parameters): {moved}.")
     return said + [f"Note: {note}." for note in diagnosis.notes]
 
 

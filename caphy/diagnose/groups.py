@@ -37,9 +37,9 @@ class Group:
 
 
 def own_groups(model: Model, original: Model) -> list[Group]:
-    """The parameters of each effect that a model has, where they can be changed; of added ones the coefficients."""
+    """What could be changed in the effects that a model has: parameters of the original's, coefficients of others."""
     found = [
-        Group(name, tunable(name, model) if name in original.effects else addition(name), own=True)
+        Group(name, tunable(name, model), own=True) if name in original.effects else Group(name, addition(name))
         for name in model.effects
     ]
     return [group for group in found if group.columns]

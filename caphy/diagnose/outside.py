@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from caphy.diagnose.probes import PROBES, probe_pushes
+from caphy.diagnose.probes import probe_places
 from caphy.diagnose.search import Search
-from caphy.refit.evidence import Evidence, best_offset, evidence, ridged
-from caphy.refit.responses import Watched
-from caphy.refit.study import Study
-from caphy.refit.tangents import Pushes
+from caphy.refit.evidence import Evidence, ridged
 
 _RIDGE = 1e-2
 _MORE = 0.2  # share of its own gain by which a probe must beat the library
@@ -38,30 +34,12 @@ class Outside:
     change: np.ndarray
 
 
-def outside(study: Study, found: Search) -> Outside:
+def outside(found: Search) -> Outside:
     """Fit the probes to what the model as it was leaves, and compare them with the library."""
     first = found.screens[0]
-    offsets = [
-        best_offset(response, first.variance, np.zeros(len(first.evidence.b[0]))) for response in first.responses
-    ]
-    names: dict[str, list[int]] = {}
-
-    def pushes(watched: Watched) -> Pushes:
-        cloth, modes = watched.scene.potential(first.model).cloth, watched.projection.modes
-
-        def pushed(x, step, body):
-            found_pushes = probe_pushes(cloth, modes, x, step, body)
-            place = 0
-            for name, values in found_pushes.items():
-                names[name] = list(range(place, place + len(values)))
-                place += len(values)
-            return torch.cat(list(found_pushes.values()))
-
-        return pushed
-
-    responses = study.respond(first.model, (), offsets, "probing", pushes)
-    known = evidence(responses, first.variance, first.evidence.weight)
-    left = {name: _left_out(known.picked(names[name])) for name in PROBES if names[name]}
+    known = first.evidence_of_probes
+    places = probe_places()
+    left = {name: _left_out(known.picked(place)) for name, place in places.items() if known.b[:, place].any()}
     null = known.misfit(np.zeros(known.b.shape[1]))
     gains = {name: 1 - float(misfit.sum() / null.sum()) for name, misfit in left.items()}
     best = max(gains, key=lambda name: gains[name])
@@ -69,7 +47,7 @@ def outside(study: Study, found: Search) -> Outside:
     lead = by_library - left[best]
     sure = lead.sum() > _SURE * np.sqrt((lead**2).sum())
     beats = gains[best] > max(library + _MORE * gains[best], first.needed) and sure
-    return Outside(gains, library, best, bool(beats), ridged(*known.picked(names[best]).normal, _RIDGE))
+    return Outside(gains, library, best, bool(beats), ridged(*known.picked(places[best]).normal, _RIDGE))
 
 
 def _left_out(known: Evidence) -> np.ndarray:

@@ -63,7 +63,7 @@ def clock(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyStat
 
 def near_body(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
     if body is None:
-        return torch.zeros((0, *x.shape), dtype=x.dtype)
+        return torch.zeros((5, *x.shape), dtype=x.dtype)
     distance = ((x - body.point) * body.normal).sum(-1)
     nearness = torch.exp(-distance.clamp_min(0) / _NEAR)
     slip = (x - step.origin) / step.dt - body.velocity
@@ -93,7 +93,28 @@ def vertex_normals(cloth: Cloth, x: Tensor) -> Tensor:
     return normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-12)
 
 
-def probe_pushes(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> dict[str, Tensor]:
-    """What one pascal of each probe adds to the gradient of the potential, name -> (K, ..., V, 3) [N]."""
+WIDTHS = {
+    "world direction": 3,
+    "velocity": 9,
+    "place on the cloth": 3 * _PLACES,
+    "place in space": 30,
+    "direction of the cloth's normal": _PLACES,
+    "time": 6 * len(_BEATS),
+    "nearness to the body": 5,
+}
+"""How many fields each probe has."""
+
+
+def probe_places(first: int = 0) -> dict[str, list[int]]:
+    """Where each probe's fields are among all of them, the first being number ``first``."""
+    places = {}
+    for name, width in WIDTHS.items():
+        places[name] = list(range(first, first + width))
+        first += width
+    return places
+
+
+def probe_pushes(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    """What one pascal of each field of each probe adds to the gradient of the potential (K, ..., V, 3) [N]."""
     area = torch.from_numpy(cloth.vertex_area)[:, None]
-    return {name: -area * fields(cloth, modes, x, step, body) for name, fields in PROBES.items()}
+    return torch.cat([-area * fields(cloth, modes, x, step, body) for fields in PROBES.values()])

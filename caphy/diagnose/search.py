@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
+from caphy.diagnose.probes import probe_pushes
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
 from caphy.refit.evidence import Evidence, best_offset, evidence, robust_weights
-from caphy.refit.responses import Response
+from caphy.refit.responses import Response, Watched
 from caphy.refit.study import Fit, Study, fit, picked, refined
+from caphy.refit.tangents import Pushes
 
 LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
@@ -38,7 +40,8 @@ _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 class Screen:
     """All windows against one model, in the columns of the whole library.
 
-    ``needed`` is the gain that an effect must reach to be accepted.
+    ``needed`` is the gain that an effect must reach to be accepted; ``evidence_of_probes`` is there for the model as
+    it was given.
     """
 
     model: Model
@@ -49,6 +52,7 @@ class Screen:
     evidence: Evidence
     scores: list[Score]
     needed: float
+    evidence_of_probes: Evidence
 
     @property
     def misfit(self) -> float:
@@ -81,28 +85,33 @@ class Search:
 
 
 def search(
-    study: Study, model: Model, on_body: bool, floor: float | None = None, variance: np.ndarray | None = None
+    study: Study,
+    model: Model,
+    original: Model,
+    on_body: bool,
+    floor: float | None = None,
+    variance: np.ndarray | None = None,
+    most: int = MOST_TERMS,
 ) -> Search:
     """Find what a model lacks in the windows of a study.
 
     Args:
+        original: the user's model, without the corrections that base measurements may have added.
         floor: best gain of the library on base measurements; none without.
         variance: of each mode at each lag (L, M) [m^2], from base measurements; estimated here without.
     """
     found = Search()
-    found.screens.append(screen(study, model, model, on_body, floor, variance))
-    while len(found.terms) < MOST_TERMS:
+    found.screens.append(screen(study, model, original, on_body, floor, variance))
+    while len(found.terms) < most:
         term = _next_term(study, found)
         if term is None:
             break
         found.terms.append(term)
         found.fit = term.fit
-        if len(found.terms) == MOST_TERMS:
-            break
         last = found.screens[0]
         offsets = [best_offset(r, last.variance, np.zeros(len(term.fit.columns))) for r in term.fit.responses]
         found.screens.append(
-            screen(study, term.fit.model, model, on_body, floor, last.variance, last.evidence.weight, offsets)
+            screen(study, term.fit.model, original, on_body, floor, last.variance, last.evidence.weight, offsets)
         )
     _eliminate(study, found)
     return found
@@ -121,8 +130,10 @@ def screen(
     """All windows against a model and the whole library; what ``original`` lacks counts as added."""
     groups = (*own_groups(model, original), *library(model, on_body))
     columns, places = columns_of(groups)
+    probes = _probes(model) if offsets is None else None
     offsets = study.settled(model, variance) if offsets is None else offsets
-    responses = study.respond(model, columns, offsets, "screening")
+    probed = study.respond(model, columns, offsets, "screening", probes)
+    responses = picked(probed, range(len(columns)))
     variance = study.variance(responses) if variance is None else variance
     known = evidence(responses, variance)
     weight = robust_weights(known) if weight is None else weight
@@ -131,7 +142,18 @@ def screen(
     chance = float(np.quantile(null_gains(known, groups, places, model), 0.99))
     least = LEAST_GAIN if floor is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * floor)
     needed = max(least, chance)
-    return Screen(model, groups, places, responses, variance, known, scores, needed)
+    flexible = evidence(picked(probed, range(len(columns), probed[0].columns.shape[-1])), variance, weight)
+    return Screen(model, groups, places, responses, variance, known, scores, needed, flexible)
+
+
+def _probes(model: Model) -> Callable[[Watched], Pushes]:
+    """The flexible forces on each scene's cloth."""
+
+    def of(watched: Watched) -> Pushes:
+        cloth, modes = watched.scene.potential(model).cloth, watched.projection.modes
+        return lambda x, step, body: probe_pushes(cloth, modes, x, step, body)
+
+    return of
 
 
 def finalists(scores: Sequence[Score], needed: float) -> list[Score]:

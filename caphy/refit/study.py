@@ -26,6 +26,8 @@ ROUNDS = 4
 
 _SETTLED = 0.01  # of the misfit: what a further Gauss-Newton step must promise
 
+_FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
+
 Progress = Callable[[str, int, int], None]
 
 
@@ -63,8 +65,7 @@ class Study:
     ) -> list[Response]:
         """All windows against a model, their starts moved by ``offsets`` (one for each window).
 
-        ``pushes`` makes the forces, of no effect, to respond to in the place of columns. With None for columns
-        only errors are told.
+        ``pushes`` makes further forces, of no effect, to respond to. With None for columns only errors are told.
         """
         total, responses = sum(map(len, self.starts)), []
         given = iter([None] * total if offsets is None else offsets)
@@ -172,6 +173,8 @@ def refined(
             best, step = found, found.step
             if min(best.promise, gained) < _SETTLED * best.misfit:
                 return replace(best, converged=True)
+        elif best.promise < _FUTILE * best.misfit:
+            return best
         else:
             step = _SHORTER * step
     return best

@@ -85,7 +85,7 @@ class Tangents:
     ) -> None:
         """``newton`` minimises the model; ``candidates`` is the model with the effects of all columns present.
 
-        ``pushes`` gives forces of no effect in the place of the columns.
+        ``pushes`` gives further forces, of no effect, whose responses follow those of the columns.
         """
         self.scene, self.newton, self.candidates, self.columns = scene, newton, candidates, columns
         self.pushes = pushes
@@ -156,9 +156,10 @@ class Tangents:
         if bodies:
             body = BodyState(*(torch.stack([getattr(b, name) for b in bodies]) for name in vars(bodies[0])))
         x = torch.stack([s.x for s in stages])
+        found = [forces(self.candidates, self.columns, x, step, body)] if self.columns else []
         if self.pushes is not None:
-            return list(self.pushes(x, step, body).movedim(0, 1))
-        return list(forces(self.candidates, self.columns, x, step, body))
+            found.append(self.pushes(x, step, body).movedim(0, 1))
+        return list(torch.cat(found, dim=1))
 
 
 def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_array | None:

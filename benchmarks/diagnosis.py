@@ -1,0 +1,255 @@
+"""Does the diagnosis name what was hidden? Every case of the challenge, and a table with every failure listed.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.diagnosis RESULTS.jsonl [--seeds 3] [--scenes square skirt] [--minutes 60]
+
+Resumes: cases that RESULTS.jsonl holds are not run again. Truths come from the challenge's own explicit simulator on
+another mesh; a base sequence, in which nothing is hidden, is given to every case.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+
+from caphy.challenge.hidden import NOTHING, ONE, OUTSIDE, PAIRS
+from caphy.challenge.world import make
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    results: tyro.conf.Positional[Path]
+    """JSON lines, one per case; made if it is not there."""
+    scenes: tuple[str, ...] = ("square",)
+    """Scenes of the challenge."""
+    seeds: int = 1
+    """Motions, strengths and noises, from seed 1."""
+    noise_mm: float = 1.0
+    """Standard deviation of each coordinate [mm]."""
+    workers: int = 2
+    """Processes."""
+    minutes: float = 1e9
+    """No case is begun after that."""
+    cache: Path = Path("challenge-cache")
+    """Where simulations are kept."""
+
+
+Case = tuple[str, str, str, int]
+"""Kind, scene, name of what is hidden, seed."""
+
+
+def cases(options: Options) -> list[Case]:
+    """All cases, kinds mixed so that a run cut short says something of each."""
+    kinds = {"none": list(NOTHING), "outside": list(OUTSIDE), "pair": list(PAIRS)}
+    every: list[Case] = []
+    for seed in range(1, options.seeds + 1):
+        for scene in options.scenes:
+            singles = [("one", scene, name, seed) for name in ONE]
+            others = [(kind, scene, name, seed) for kind, names in kinds.items() for name in names]
+            stride = max(len(singles) // max(len(others), 1), 1)
+            while singles or others:
+                every += singles[:stride]
+                every += others[:1]
+                singles, others = singles[stride:], others[1:]
+    return every
+
+
+def run(case: Case, noise_mm: float, cache: Path) -> dict:
+    """One case: its answer and how it compares with the truth."""
+    from caphy.diagnose.base import from_base
+    from caphy.diagnose.diagnosis import diagnose
+    from caphy.diagnose.figures import figures
+    from caphy.measure.scene import Scene
+    from caphy.refit.study import Study
+
+    torch.set_num_threads(1)
+    kind, scene, name, seed = case
+    hidden = {**ONE, **PAIRS, **NOTHING, **OUTSIDE}[name]
+    world = make(scene, hidden, seed, noise_mm=noise_mm, cache=cache)
+    began = time.process_time()
+    key = (scene, seed, noise_mm, hidden.same_mesh)
+    if key not in _BASES:
+        scenes = [Scene.of(measurement) for measurement in world.base]
+        _BASES[key] = from_base(Study(scenes), world.model, scenes[0].motion is not None)
+    learned = time.process_time() - began
+    began = time.process_time()
+    told = figures(diagnose(world.model, world.train, _BASES[key], world.held_out))
+    told["ranking"] = told["ranking"][:6]
+    seconds = {"diagnosis": time.process_time() - began, "base": learned}
+    return {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": noise_mm, "cpu_seconds": seconds,
+            "answer": dict(world.answer), "diagnosis": told}  # fmt: skip
+
+
+_BASES: dict = {}
+
+
+def main() -> None:
+    """Run what is missing, then print the table."""
+    options = tyro.cli(Options)
+    known = rows(options.results)
+    done = {(r["kind"], r["scene"], r["hidden"], r["seed"]) for r in known if r["noise_mm"] == options.noise_mm}
+    left = [case for case in cases(options) if case not in done]
+    began = time.time()
+    queue: multiprocessing.Queue = multiprocessing.Queue()
+    answers: multiprocessing.Queue = multiprocessing.Queue()
+    for case in left:
+        queue.put(case)
+    for _ in range(options.workers):
+        queue.put(None)
+    workers = [
+        multiprocessing.get_context("spawn").Process(target=_work, args=(queue, answers, options, began))
+        for _ in range(options.workers)
+    ]
+    raise SystemExit(_collected(options, left, workers, answers))
+
+
+def _collected(options: Options, left: Sequence[Case], workers: list, answers) -> int:
+    for worker in workers:
+        worker.start()
+    finished = 0
+    while finished < len(workers):
+        row = answers.get()
+        if row is None:
+            finished += 1
+            continue
+        with options.results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        print(line(row), flush=True)
+    print(table(rows(options.results)))
+    return 0
+
+
+def _work(queue, answers, options: Options, began: float) -> None:
+    while (case := queue.get()) is not None and time.time() - began < 60 * options.minutes:
+        try:
+            answers.put(run(case, options.noise_mm, options.cache))
+        except Exception as error:
+            kind, scene, name, seed = case
+            row = {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": options.noise_mm}
+            answers.put({**row, "error": f"{type(error).__name__}: {error}"})
+    answers.put(None)
+
+
+def rows(path: Path) -> list[dict]:
+    """What a results file holds."""
+    if not path.exists():
+        return []
+    return [json.loads(text) for text in path.read_text(encoding="utf-8").splitlines() if text.strip()]
+
+
+def line(row: dict) -> str:
+    """One case in a line."""
+    if "error" in row:
+        return f"{row['scene']:8s} {row['hidden']:32s} failed: {row['error']}"
+    d = row["diagnosis"]
+    best = d["ranking"][0]
+    held = "" if d["held_out"] is None else f"{d['held_out']['before_mm']:.2f} -> {d['held_out']['after_mm']:.2f} mm"
+    mark = "ok" if right(row) else "near" if near(row) else "WRONG"
+    return (
+        f"{row['scene']:8s} {row['hidden']:32s} {mark:5s} {d['verdict']:14s} {','.join(d['found']) or '-':30s} "
+        f"best {best['explanation']} {100 * best['gain']:.1f} % of {100 * d['gain_needed']:.1f} {held} "
+        f"{row['cpu_seconds']['diagnosis']:.0f} s"
+    )
+
+
+def right(row: dict) -> bool:
+    """The very answer: the effects hidden, or the verdict where there are none."""
+    d, truth = row["diagnosis"], row["answer"]
+    if row["kind"] in ("one", "pair"):
+        return set(d["found"]) == set(truth["effects"])
+    return d["verdict"] == truth["verdict"]
+
+
+def near(row: dict) -> bool:
+    """Right but for effects that move the cloth alike, by the challenge's list or the diagnosis' own group."""
+    d, truth = row["diagnosis"], row["answer"]
+    if row["kind"] not in ("one", "pair"):
+        return right(row)
+    return all(
+        any(name == f or f in truth["alike"].get(name, ()) or name in d["groups"].get(f, ()) for f in d["found"])
+        for name in truth["effects"]
+    )
+
+
+def first(row: dict) -> bool:
+    """Whether the screen put (one of) the hidden effects first."""
+    return row["diagnosis"]["ranking"][0]["effect"] in row["answer"]["effects"]
+
+
+def table(found: Sequence[dict]) -> str:
+    """The numbers, and every failure."""
+    good = [row for row in found if "error" not in row]
+    lines = [""]
+    for noise in sorted({row["noise_mm"] for row in good}):
+        for scene in sorted({row["scene"] for row in good}):
+            part = [row for row in good if row["noise_mm"] == noise and row["scene"] == scene]
+            lines += [f"{scene}, {noise:g} mm noise", *_part(part)]
+    lines += ["", "failures"]
+    lines += [f"  {line(row)}" for row in found if "error" in row or not near(row)]
+    return "\n".join(lines)
+
+
+def _part(part: Sequence[dict]) -> Iterator[str]:
+    def of(kind: str) -> list[dict]:
+        return [row for row in part if row["kind"] == kind]
+
+    one, none, outside, pair = of("one"), of("none"), of("outside"), of("pair")
+    yield _share("one effect: ranked first by the screen", one, first)
+    yield _share("one effect: named, nothing else named", one, right)
+    yield _share("one effect: named, or one that moves the cloth alike", one, near)
+    yield _share("nothing hidden: an effect named", none, lambda row: bool(row["diagnosis"]["found"]))
+    yield _share("two effects: both found", pair, near)
+    yield _share("two effects: no third", pair, lambda row: len(row["diagnosis"]["found"]) <= 2)
+    yield _share("outside the library: flagged", outside, right)
+    yield _share(
+        "inside the library: flagged as outside", one, lambda row: row["diagnosis"]["verdict"] == "none of these"
+    )
+    errors, covered = coefficients([row for row in one if right(row)])
+    if errors:
+        yield f"  coefficient: median error {100 * np.median(errors):.0f} %, within 25 %: {_of(np.array(errors) < 0.25)}"
+        yield f"  95 % interval covers: {_of(covered)}"
+    held = [row["diagnosis"]["held_out"] for row in one if row["diagnosis"]["held_out"]]
+    floors = [row["diagnosis"]["base"]["median_mm"] for row in one if row["diagnosis"]["held_out"]]
+    if held:
+        shares = [
+            (h["before_mm"] - h["after_mm"]) / max(h["before_mm"] - f, 1e-9) for h, f in zip(held, floors, strict=True)
+        ]
+        yield f"  held-out median error: {100 * np.median(shares):.0f} % of the excess over the base's is gone (median)"
+    if part:
+        cpu = [row["cpu_seconds"]["diagnosis"] for row in part]
+        yield f"  processor time of a diagnosis: median {np.median(cpu):.0f} s"
+
+
+def coefficients(found: Sequence[dict]) -> tuple[list[float], list[bool]]:
+    """Relative errors of scalar coefficients, and whether the interval covers the truth."""
+    errors, covered = [], []
+    for row in found:
+        for effect, values in row["answer"]["effects"].items():
+            for name, value in values.items():
+                told = row["diagnosis"]["coefficients"].get(f"{effect}.{name}")
+                if told is not None and np.ndim(value) == 0 and value:
+                    errors.append(abs(told["value"] / value - 1))
+                    covered.append(told["low"] <= value <= told["high"])
+    return errors, covered
+
+
+def _share(what: str, part: Sequence[dict], good: Callable[[dict], bool]) -> str:
+    return f"  {what}: {_of([good(row) for row in part])}"
+
+
+def _of(flags) -> str:
+    flags = list(flags)
+    return f"{sum(map(bool, flags))} of {len(flags)}" + (f" ({100 * np.mean(flags):.0f} %)" if flags else "")
+
+
+if __name__ == "__main__":
+    main()

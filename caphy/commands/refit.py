@@ -1,0 +1,137 @@
+"""``caphy refit MODEL MEASUREMENT... --add EFFECT -o MODEL2``: add an effect, fit it, prove it on held-out data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from caphy.commands.compare import Progress, _write_text
+from caphy.commands.diagnose import physics_model
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from caphy.body.model import BodyModel
+    from caphy.effects.model import Model
+    from caphy.garment.template import Garment
+    from caphy.io.measurements import Measurement
+    from caphy.refit.refit import Refit
+
+
+@dataclass(frozen=True)
+class RefitCommand:
+    """Add effects to a model and fit them: the new model's JSON, and a page with before and after beside it."""
+
+    model: tyro.conf.Positional[str]
+    """A physics model's JSON, "snug", or a measured fabric's name."""
+    measurements: tyro.conf.Positional[tuple[Path, ...]]
+    """Measurements: .npz files or folders, or .csv tables of tensile tests."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The new model, a .json; for tables of tensile tests a folder."""
+    add: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Effects to add; without any the model's own parameters are fitted."""
+    held_out: tuple[Path, ...] = ()
+    """Measurements that nothing is fitted to; without them every fourth window is held out."""
+    garment: Path | None = None
+    """The garment's .npz where the measurements carry no rest shape."""
+    body: Path | None = None
+    """An SMPL-X-format .npz, if it is not the bundled body."""
+    effect_file: tuple[Path, ...] = ()
+    """Python files with effects of your own."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy refit`` with the arguments after it."""
+    command = tyro.cli(RefitCommand, args=arguments, prog="caphy refit")
+    if not command.measurements:
+        raise CaphyError("give at least one measurement")
+    model = physics_model(command.model, command.effect_file)
+    if all(path.suffix == ".csv" for path in command.measurements):
+        from caphy.tensile.run import refit_tables
+
+        refit_tables(model, command.measurements, command.output, command.held_out, command.add)
+        return
+    if command.output.suffix != ".json":
+        raise CaphyError(f"{command.output}: the new model must be a .json file")
+    _refit(command, model)
+
+
+def _refit(command: RefitCommand, model: Model) -> None:
+    from caphy.body.model import BodyModel
+    from caphy.garment.template import Garment
+    from caphy.io.measurements import read_measurement
+    from caphy.refit.refit import refit
+
+    garment = None if command.garment is None else Garment.load(command.garment)
+    body = None if command.body is None else BodyModel.load(command.body)
+    measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
+    with Progress("refit") as progress:
+        found = refit(model, measured, command.add, proof, garment, body, progress)
+    print(table(found))
+    if not found.kept and command.add:
+        print("The model stays as it was; nothing was written.")
+        return
+    held = found.held_out
+    new = found.model.revised(
+        model,
+        f"refit{' with ' + ', '.join(found.kept) if found.kept else ' of its parameters'}",
+        data=[measurement.name for measurement in measured],
+        error_before=held.before_mm / 1e3,
+        error_after=held.after_mm / 1e3,
+        floor=None if held.floor_mm is None else held.floor_mm / 1e3,
+    )
+    command.output.parent.mkdir(parents=True, exist_ok=True)
+    _write_text(command.output, new.to_json())
+    page = command.output.with_suffix(".html")
+    _write_text(page, _page(command, model, new, (proof or measured)[:1], garment, body))
+    print(f"\n{command.output}\n{page}")
+    print(f"next: caphy train --init AVATAR --model {command.output} ...   (the network learns it)")
+
+
+def table(found: Refit) -> str:
+    """The result as lines of text."""
+    held = found.held_out
+    lines = [f"{'number':40s} {'value':>11s}   95 % interval"]
+    for name, (value, low, high, unit) in found.coefficients.items():
+        lines.append(f"{name:40s} {value:11.4g}   {low:.4g} to {high:.4g} {unit}")
+    floor = "" if held.floor_mm is None else f"; noise alone gives {held.floor_mm:.2f} mm"
+    fall = 100 * (1 - found.misfit[1] / found.misfit[0])
+    lines += [
+        f"misfit of the windows it was fitted to: {fall:.1f} % less",
+        f"held-out median distance: {held.before_mm:.2f} -> {held.after_mm:.2f} mm{floor}",
+    ]
+    return "\n".join([*lines, found.reason] if found.reason else lines)
+
+
+def _page(
+    command: RefitCommand,
+    before: Model,
+    after: Model,
+    measured: Sequence[Measurement],
+    garment: Garment | None,
+    body: BodyModel | None,
+) -> str:
+    """The heat map of the first held-out measurement, before and after, on one page."""
+    from dataclasses import replace
+
+    from caphy import __version__
+    from caphy.measure.comparison import compare
+    from caphy.measure.pictures import section
+    from caphy.measure.prediction import predict_in_windows
+    from caphy.measure.scene import Scene
+    from caphy.report.page.compose import comparison_page
+
+    sections = []
+    for when, model in (("before", before), ("after", after)):
+        for measurement in measured:
+            scene = Scene.of(replace(measurement, name=f"{measurement.name}, {when}"), garment, body)
+            with Progress(f"page, {when}") as progress:
+                prediction = predict_in_windows(scene, model, progress=progress)
+            sections.append(section(compare(prediction, scene.measurement, scene.regions)))
+    facts = {"model": str(command.output), "written by": f"caphy {__version__}"}
+    added = ", ".join(name for name in after.effects if name not in before.effects) or "parameters"
+    return comparison_page(f"{Path(command.model).stem}: before and after {added}", sections, facts)

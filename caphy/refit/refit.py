@@ -1,0 +1,177 @@
+"""Add effects to a model and fit their numbers to measurements; what does not lower the held-out error is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from caphy.body.model import BodyModel
+from caphy.effects.model import Model
+from caphy.effects.registry import find_effect
+from caphy.errors import CaphyError
+from caphy.garment.template import Garment
+from caphy.io.measurements import Measurement
+from caphy.measure.scene import Scene
+from caphy.refit.columns import Column, addition, extended, moved, tunable
+from caphy.refit.evidence import best_offset, evidence, robust_weights
+from caphy.refit.heldout import HeldOut, held_out_errors, window_errors
+from caphy.refit.intervals import half_widths
+from caphy.refit.study import FEWEST, Fit, Progress, Study, fit
+
+NOT_WORSE = 0.99
+"""The held-out error must fall at least to this share of what it was."""
+DISPENSABLE = 0.02
+"""Share of the misfit whose loss does not keep an effect."""
+
+_LATER = 4  # without held-out measurements one window in so many is held out
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A model with effects added and fitted.
+
+    Attributes:
+        model: the result; the model as it was where nothing was kept.
+        kept, removed: effects that stayed and that were taken back.
+        coefficients: fitted numbers, name -> (value, low, high, unit), intervals of 95 %.
+        held_out: error before and after.
+        reason: why effects were taken back, in words.
+        misfit: whitened chi2 of the training windows before and after.
+    """
+
+    model: Model
+    kept: tuple[str, ...]
+    removed: tuple[str, ...]
+    coefficients: dict[str, tuple[float, float, float, str]]
+    held_out: HeldOut
+    reason: str
+    misfit: tuple[float, float]
+
+
+def refit(
+    model: Model,
+    measurements: Sequence[Measurement],
+    add: Sequence[str] = (),
+    held_out: Sequence[Measurement] = (),
+    garment: Garment | None = None,
+    body: BodyModel | None = None,
+    progress: Progress | None = None,
+) -> Refit:
+    """Fit the numbers of added effects, or without any the model's own parameters, jointly on real roll-outs.
+
+    Without held-out measurements every fourth window is held out.
+
+    Raises:
+        CaphyError: an effect is unknown, is there already, or the measurements are too short.
+    """
+    names = _checked(model, add)
+    scenes = [Scene.of(measurement, garment, body) for measurement in measurements]
+    study = Study(scenes, progress=progress)
+    apart = [Scene.of(measurement, garment, body) for measurement in held_out]
+    proof = None if apart else _split(study)
+    fitted, first, removed = _fitted(study, model, names)
+    variance = first.variance
+    if proof is None:
+        errors = held_out_errors(apart, model, fitted.model, variance, progress)
+    else:
+        errors = _on_windows(proof, model, fitted.model, variance)
+    kept = tuple(name for name in names if name not in removed)
+    reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
+    if errors.after_mm > NOT_WORSE * errors.before_mm:
+        reason = (
+            f"the held-out error must fall, but went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm: "
+            f"{', '.join(kept) or 'the new parameters'} refused"
+        )
+        return Refit(model, (), names, _numbers(fitted, model), errors, reason, (first.misfit, fitted.misfit))
+    return Refit(fitted.model, kept, removed, _numbers(fitted, model), errors, reason, (first.misfit, fitted.misfit))
+
+
+@dataclass(frozen=True, eq=False)
+class _First:
+    misfit: float
+    variance: np.ndarray
+
+
+def _checked(model: Model, add: Sequence[str]) -> tuple[str, ...]:
+    for name in add:
+        effect = find_effect(name)
+        if name in model.effects:
+            raise CaphyError(f"the model has {name} already; leave out --add to refit its parameters")
+        if not effect.coefficients:
+            raise CaphyError(f"{name} has no coefficient that could be zero, so it cannot be added and fitted")
+        if effect.lenders(model.effects) is None:
+            raise CaphyError(f"{name} reads the parameters of an effect that the model lacks; see caphy effects show")
+    return tuple(dict.fromkeys(add))
+
+
+def _columns(model: Model, names: Sequence[str]) -> tuple[Column, ...]:
+    if names:
+        return tuple(column for name in names for column in addition(name))
+    return tuple(column for name in model.effects for column in tunable(name, model))
+
+
+def _fitted(study: Study, model: Model, names: tuple[str, ...]) -> tuple[Fit, _First, tuple[str, ...]]:
+    """The joint fit, then without each effect that is not needed (backward elimination)."""
+    columns = _columns(model, names)
+    responses = study.respond(model, columns, study.settled(model), "before")
+    variance = study.variance(responses)
+    known = evidence(responses, variance)
+    weight = robust_weights(known)
+    first = _First(float((weight * known.c).sum()), variance)
+    best, removed = fit(study, model, columns, responses, variance, weight), []
+    while len(names) - len(removed) > 1:
+        left = [name for name in names if name not in removed]
+        trials = {name: _without(study, model, best, [n for n in left if n != name], variance, weight) for name in left}
+        name = min(trials, key=lambda each: trials[each].misfit)
+        if trials[name].misfit - best.misfit > DISPENSABLE * first.misfit:
+            break
+        best = trials[name]
+        removed.append(name)
+    return best, first, tuple(removed)
+
+
+def _without(
+    study: Study, model: Model, best: Fit, names: Sequence[str], variance: np.ndarray, weight: np.ndarray
+) -> Fit:
+    columns = _columns(model, names)
+    values = [column.value(best.model) for column in columns]
+    start = moved(extended(model, columns), columns, np.array(values))
+    offsets = [best_offset(response, variance, np.zeros(len(best.columns))) for response in best.responses]
+    responses = study.respond(start, columns, offsets, "without one")
+    return fit(study, start, columns, responses, variance, weight, "without one")
+
+
+def _split(study: Study) -> Study:
+    """Move every fourth window of a study into another one."""
+    proof = Study(study.scenes, study.length, study.progress)
+    place = 0
+    for number, starts in enumerate(study.starts):
+        later = [(place + i) % _LATER == _LATER - 1 for i in range(len(starts))]
+        proof.starts[number] = [start for start, late in zip(starts, later, strict=True) if late]
+        study.starts[number] = [start for start, late in zip(starts, later, strict=True) if not late]
+        place += len(later)
+    if sum(map(len, study.starts)) < FEWEST:
+        raise CaphyError(
+            f"a refit needs at least {FEWEST} windows besides those held out, got {sum(map(len, study.starts))}; "
+            "measure longer motions, or give --held-out"
+        )
+    return proof
+
+
+def _on_windows(proof: Study, before: Model, after: Model, variance: np.ndarray) -> HeldOut:
+    errors = [window_errors(proof, each, variance) for each in (before, after)]
+    pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
+    medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
+    return HeldOut(pooled[0], pooled[1], None, medians[0], medians[1])
+
+
+def _numbers(fitted: Fit, model: Model) -> dict[str, tuple[float, float, float, str]]:
+    widths = half_widths(fitted.evidence)
+    found = {}
+    for column, change, width in zip(fitted.columns, map(float, fitted.change), map(float, widths), strict=True):
+        relative = column.entry is None
+        value, half = (change, width * (1 + change)) if relative else (column.value(fitted.model), width)
+        found[column.name] = (value, value - half, value + half, column.unit)
+    return found
