@@ -37,8 +37,6 @@ from caphy.training.reference import correct, solve, solve_from, step_energies
 from caphy.training.validate import ground_energies
 
 FPS = 30.0
-RATE = 3e-3
-"""Learning rate to begin with; at 1e-2 the potential of a network of this size rises again half-way."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ def trained(garment: Garment, potential: Potential, clip: PoseSequence, minutes:
             last[0] = time.monotonic()
             print(f"  {100 * done:3.0f} %  potential {loss:.4f} J  {(1 - done) * minutes:.1f} min left", flush=True)
 
-    steps = overtrain(network, objective, motions, 10**6, 60 * minutes, RATE, say)
+    steps = overtrain(network, objective, motions, 10**6, 60 * minutes, progress=say)
     print(f"{garment.name}: {len(garment.vertices)} vertices, {len(clip) - 1} frames, {steps} steps in {minutes:g} min")
     return network
 
