@@ -99,16 +99,13 @@ def main() -> None:
     done = {(r["kind"], r["scene"], r["hidden"], r["seed"]) for r in known if r["noise_mm"] == options.noise_mm}
     left = [case for case in cases(options) if case not in done]
     began = time.time()
-    queue: multiprocessing.Queue = multiprocessing.Queue()
-    answers: multiprocessing.Queue = multiprocessing.Queue()
+    context = multiprocessing.get_context("spawn")
+    queue, answers = context.Queue(), context.Queue()
     for case in left:
         queue.put(case)
     for _ in range(options.workers):
         queue.put(None)
-    workers = [
-        multiprocessing.get_context("spawn").Process(target=_work, args=(queue, answers, options, began))
-        for _ in range(options.workers)
-    ]
+    workers = [context.Process(target=_work, args=(queue, answers, options, began)) for _ in range(options.workers)]
     raise SystemExit(_collected(options, left, workers, answers))
 
 
@@ -215,7 +212,8 @@ def _part(part: Sequence[dict]) -> Iterator[str]:
     )
     errors, covered = coefficients([row for row in one if right(row)])
     if errors:
-        yield f"  coefficient: median error {100 * np.median(errors):.0f} %, within 25 %: {_of(np.array(errors) < 0.25)}"
+        close = _of([error < 0.25 for error in errors])
+        yield f"  coefficient: median error {100 * np.median(errors):.0f} %, within 25 %: {close}"
         yield f"  95 % interval covers: {_of(covered)}"
     held = [row["diagnosis"]["held_out"] for row in one if row["diagnosis"]["held_out"]]
     floors = [row["diagnosis"]["base"]["median_mm"] for row in one if row["diagnosis"]["held_out"]]
