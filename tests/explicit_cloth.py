@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from caphy.io.measurements import Measurement
@@ -29,11 +31,14 @@ def simulate(
     damping: float = 0.03,
     settle: float = 2.5,
     sway: float = 0.08,
+    tempo: float = 1.0,
+    push: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, dict]:
     """Positions (T, V, 3) of a square held by two corners that sway sideways, and the measurement's other keys.
 
-    ``damping`` [N s/m] acts along edges. ``drag`` [kg/m^2/s] is a hidden force per area against the velocity. The
-    first ``settle`` seconds, damped, are left out.
+    ``damping`` [N s/m] acts along edges. ``drag`` [kg/m^2/s] is a hidden force per area against the velocity, ``push``
+    a hidden acceleration (V, 3) [m/s^2] of positions and velocities. The first ``settle`` seconds, damped, are left
+    out.
     """
     rest, faces, flat = square(count)
     inverse = np.linalg.inv(
@@ -47,7 +52,7 @@ def simulate(
     def pins(time: float) -> np.ndarray:
         t = max(time, 0.0)
         phase = 1 - np.exp(-((t / 0.2) ** 2))
-        shift = np.array([sway * np.sin(5.0 * t), 0.0, 0.7 * sway * np.sin(3.0 * t)]) * phase
+        shift = np.array([sway * np.sin(5.0 * tempo * t), 0.0, 0.7 * sway * np.sin(3.0 * tempo * t)]) * phase
         return rest[pinned] + shift
 
     frames, total = [], round((settle + seconds) * fps)
@@ -60,6 +65,7 @@ def simulate(
             force = _elastic(x, faces, inverse, area, lame) - drag / density * mass[:, None] * v
             force -= (3.0 if now < -0.5 else 0.0) * mass[:, None] * v  # settles down
             force += damping * _strain_rate(x, v, faces, mass)
+            force += 0.0 if push is None else mass[:, None] * push(x, v)
             v = v + dt * (force / mass[:, None] + [0.0, -9.81, 0.0])
             x = x + dt * v
             x[pinned] = pins(now + dt)

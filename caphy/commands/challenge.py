@@ -1,0 +1,121 @@
+"""``caphy challenge new|reveal``: measurements with a hidden effect, and the sealed answer."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from caphy.commands.compare import _write_text
+from caphy.errors import CaphyError
+
+
+@dataclass(frozen=True)
+class New:
+    """Simulate measurements with something hidden in them: an effect, two, a force of no effect, or nothing."""
+
+    seed: int
+    """What is hidden, how strongly, the motions and the noise all follow from it."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for model.json, train_*.npz, base_*.npz, held_out_*.npz and the sealed answer."""
+    scene: Literal["square"] = "square"
+    """What is measured: a square of cloth, shaken by two corners."""
+    noise: float = 1.0
+    """Standard deviation of each measured coordinate [mm]."""
+
+
+@dataclass(frozen=True)
+class Reveal:
+    """Open the sealed answer, and hold the diagnosis against it if there is one."""
+
+    folder: tyro.conf.Positional[Path]
+    """The challenge's folder."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy challenge`` with the arguments after it."""
+    command = tyro.extras.subcommand_cli_from_dict(
+        {"new": New, "reveal": Reveal}, args=arguments, prog="caphy challenge"
+    )
+    if isinstance(command, New):
+        new(command)
+    else:
+        reveal(command)
+
+
+def new(command: New) -> None:
+    """Make a challenge."""
+    import numpy as np
+
+    from caphy.challenge.hidden import HIDDEN
+    from caphy.challenge.sealed import NAME, seal
+    from caphy.challenge.world import make
+    from caphy.io.measurements import write_measurement
+
+    if command.noise < 0 or command.seed < 0:
+        raise CaphyError(f"seed and noise must not be negative, got {command.seed} and {command.noise}")
+    names = sorted(HIDDEN)
+    hidden = HIDDEN[names[int(np.random.default_rng([command.seed, 7]).integers(len(names)))]]
+    print("simulating: about half a minute", flush=True)
+    world = make(command.scene, hidden, command.seed, noise_mm=command.noise)
+    command.output.mkdir(parents=True, exist_ok=True)
+    parts = {"train": world.train, "base": world.base, "held_out": world.held_out}
+    paths: dict[str, list[str]] = {part: [] for part in parts}
+    for part, measurements in parts.items():
+        for number, measurement in enumerate(measurements):
+            path = command.output / f"{part}_{number}.npz"
+            write_measurement(measurement, path)
+            paths[part].append(str(path))
+    _write_text(command.output / "model.json", world.model.to_json())
+    text, digest = seal(world.answer)
+    _write_text(command.output / NAME, text)
+    for path in [command.output / "model.json", *sum(paths.values(), []), command.output / NAME]:
+        print(path)
+    print(f"sealed answer, SHA-256 {digest}")
+    listed = {part: " ".join(found) for part, found in paths.items()}
+    print(
+        f"next: caphy diagnose {command.output / 'model.json'} {listed['train']} --base {listed['base']} "
+        f"--held-out {listed['held_out']} -o {command.output / 'diagnosis'}\n"
+        f"then: caphy challenge reveal {command.output}"
+    )
+
+
+def reveal(command: Reveal) -> None:
+    """Open the answer."""
+    from caphy.challenge.sealed import opened
+
+    answer = opened(command.folder)
+    effects = answer["effects"] or {}
+    print(f"hidden: {answer['hidden']}")
+    for name, values in effects.items():
+        print(f"  {name}: " + ", ".join(f"{key} {_short(value)}" for key, value in values.items()))
+    if answer["outside"]:
+        print(f"  a force of no effect: {answer['outside']}")
+    told = command.folder / "diagnosis" / "diagnosis.json"
+    if not told.exists():
+        print(f"there is no diagnosis in {told.parent} to hold against it")
+        return
+    diagnosis = json.loads(told.read_text(encoding="utf-8"))
+    print(f"diagnosis: {diagnosis['verdict']}" + (f", {', '.join(diagnosis['found'])}" if diagnosis["found"] else ""))
+    print("  " + verdict(answer, diagnosis))
+
+
+def verdict(answer: dict, diagnosis: dict) -> str:
+    """How a diagnosis compares with the truth, in words."""
+    hidden, found = set(answer["effects"]), set(diagnosis["found"])
+    if not hidden:
+        return "right" if diagnosis["verdict"] == answer["verdict"] else "wrong"
+    if found == hidden:
+        return "right"
+    similar = {name for name in hidden if any(f in answer["alike"].get(name, ()) for f in found)}
+    if similar | (found & hidden) == hidden:
+        return "near: what was named moves the cloth much like what was hidden"
+    missed = ", ".join(sorted(hidden - found)) or "nothing"
+    return f"wrong: missed {missed}; named without reason: {', '.join(sorted(found - hidden)) or 'nothing'}"
+
+
+def _short(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

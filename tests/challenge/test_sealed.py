@@ -1,0 +1,44 @@
+"""Sealed answers open as they were closed, and only so."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from caphy.challenge.sealed import NAME, opened, seal
+from caphy.cli import main
+from caphy.commands.challenge import verdict
+from caphy.errors import CaphyError
+
+ANSWER = {"hidden": "pressure", "effects": {"pressure": {"pressure": 0.2}}, "outside": None, "verdict": "named",
+          "alike": {"pressure": ["wind_normal"]}}  # fmt: skip
+
+
+def test_an_answer_comes_back_and_its_text_does_not_show_it(tmp_path):
+    text, digest = seal(ANSWER)
+    assert "pressure" not in text
+    assert digest in text
+    assert seal(ANSWER)[1] != digest  # the salt
+    (tmp_path / NAME).write_text(text)
+    assert opened(tmp_path) == ANSWER
+
+
+def test_a_changed_answer_is_refused(tmp_path):
+    document = json.loads(seal(ANSWER)[0])
+    document["sealed"] = json.loads(seal({**ANSWER, "hidden": "gust"})[0])["sealed"]
+    (tmp_path / NAME).write_text(json.dumps(document))
+    with pytest.raises(CaphyError, match="does not match its hash"):
+        opened(tmp_path)
+
+
+def test_a_missing_answer_says_how_to_make_one(tmp_path, capsys):
+    assert main(["challenge", "reveal", str(tmp_path)]) == 2
+    assert "caphy challenge new" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("found", "word"), [(["pressure"], "right"), (["wind_normal"], "near"), (["gust"], "wrong"), ([], "wrong")]
+)
+def test_verdicts(found, word):
+    assert verdict(ANSWER, {"verdict": "named", "found": found}).startswith(word)

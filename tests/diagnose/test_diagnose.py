@@ -1,0 +1,131 @@
+"""Diagnosis and refit on cloth that an independent explicit integrator moved."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from explicit_cloth import measured, simulate
+
+from caphy.cli import main
+from caphy.diagnose.diagnosis import diagnose
+from caphy.diagnose.figures import figures, sentences
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.io.measurements import Measurement, write_measurement
+from caphy.refit.refit import refit
+
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+DRAG = 0.6  # kg/m^2/s against the velocity: a rate of 3 1/s on cloth of 0.2 kg/m^2
+
+
+def taken(seed: int, **hidden) -> Measurement:
+    """Two seconds of the square; each seed sways at its own tempo."""
+    return measured(*simulate(tempo=1 + 0.15 * seed, settle=2.0, **hidden), seed=seed)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Measurement:
+    return taken(0)
+
+
+@pytest.fixture(scope="module")
+def dragged() -> tuple[Measurement, Measurement]:
+    return taken(1, drag=DRAG), taken(2, drag=DRAG)
+
+
+@pytest.fixture(scope="module")
+def named(dragged):
+    return diagnose(MODEL, dragged[:1], held_out=dragged[1:])
+
+
+def test_a_planted_effect_is_named_measured_and_proven(named):
+    assert named.verdict == "named"
+    assert named.found == ("mass_damping",)
+    rate = named.coefficients["mass_damping.rate"]
+    assert abs(rate.value - DRAG / MODEL.density) < 0.1 * DRAG / MODEL.density
+    assert rate.low < rate.value < rate.high
+    assert named.held_out is not None
+    assert named.held_out.after_mm < 0.7 * named.held_out.before_mm
+    told = json.loads(json.dumps(figures(named), allow_nan=False))
+    assert told["ranking"][0]["effect"] == "mass_damping"
+    assert "mass_damping" in sentences(named)[0]
+
+
+def test_nothing_is_named_where_nothing_is_missing(plain):
+    found = diagnose(MODEL, [plain])
+    assert found.verdict == "nothing"
+    assert not found.found and not found.coefficients
+    assert found.model == MODEL
+
+
+def test_a_force_from_outside_the_library_is_flagged():
+    def attracted(x, v):
+        """Towards a point, the more the nearer: no effect of the library."""
+        away = np.array([0.25, -0.35, 0.2]) - x
+        return 0.25 * away / (0.04 + (away**2).sum(1, keepdims=True))
+
+    found = diagnose(MODEL, [taken(1, push=attracted), taken(2, push=attracted)])
+    assert found.verdict == "none of these"
+    assert found.depends_on == "place in space"
+    assert not found.found
+
+
+def test_a_wrong_effect_is_refused(dragged):
+    wrong = refit(MODEL, dragged[:1], ("pressure",), dragged[1:])
+    assert wrong.kept == ()
+    assert wrong.model == MODEL
+    assert "refused" in wrong.reason
+
+
+def test_an_effect_that_is_not_needed_is_taken_back(dragged):
+    both = refit(MODEL, dragged[:1], ("mass_damping", "pressure"), dragged[1:])
+    assert both.kept == ("mass_damping",)
+    assert both.removed == ("pressure",)
+
+
+def test_parameters_that_are_off_are_called_that(plain):
+    stiff = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * 2.5, lame_mu=11.1 * 2.5)
+    found = diagnose(stiff, [plain])
+    assert found.verdict == "parameters"
+    change = found.coefficients["strain_stvk.lame_mu"]
+    assert abs(change.value - (1 / 2.5 - 1)) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda v, r: v * 1000, "give metres"),
+        (lambda v, r: v[r.permutation(len(v))], "order of time"),
+        (lambda v, r: v[:, r.permutation(v.shape[1])], "follow the cloth's mesh"),
+        (lambda v, r: r.normal(0, 0.3, v.shape), "edges"),
+        (lambda v, r: v[:20], "at least 4 windows"),
+    ],
+    ids=["millimetres", "shuffled frames", "another order of vertices", "all noise", "too few windows"],
+)
+def test_bad_measurements_get_no_name(plain, spoil, message):
+    vertices = spoil(plain.vertices, np.random.default_rng(0))
+    pins = plain.pinned_positions[: len(vertices)]
+    with pytest.raises(CaphyError, match=message):
+        diagnose(MODEL, [replace(plain, vertices=vertices, pinned_positions=pins)])
+
+
+def test_the_commands_write_what_they_say(tmp_path, dragged, capsys):
+    for number, measurement in enumerate(dragged):
+        write_measurement(measurement, tmp_path / f"m{number}.npz")
+    (tmp_path / "model.json").write_text(MODEL.to_json())
+    model, measured_path = str(tmp_path / "model.json"), str(tmp_path / "m0.npz")
+    assert main(["diagnose", model, measured_path, "-o", str(tmp_path / "d")]) == 0
+    said = capsys.readouterr().out
+    assert "caphy refit" in said and "--add mass_damping" in said
+    assert json.loads((tmp_path / "d" / "diagnosis.json").read_text())["found"] == ["mass_damping"]
+    better = tmp_path / "better.json"
+    proof = ["--held-out", str(tmp_path / "m1.npz")]
+    assert main(["refit", model, measured_path, "--add", "mass_damping", *proof, "-o", str(better)]) == 0
+    again = Model.load(better)
+    assert "mass_damping" in again.effects
+    assert again.history[-1].added == ("mass_damping",)
+    assert again.history[-1].error_after < again.history[-1].error_before
+    assert "before" in better.with_suffix(".html").read_text()
