@@ -72,8 +72,8 @@ def new(command: New) -> None:
     _write_text(command.output / "model.json", world.model.to_json())
     text, digest = seal(world.answer)
     _write_text(command.output / NAME, text)
-    for path in [command.output / "model.json", *sum(paths.values(), []), command.output / NAME]:
-        print(path)
+    files = [path for found in paths.values() for path in found]
+    print("\n".join(map(str, [command.output / "model.json", *files, command.output / NAME])))
     print(f"sealed answer, SHA-256 {digest}")
     listed = {part: " ".join(found) for part, found in paths.items()}
     print(
