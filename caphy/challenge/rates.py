@@ -9,11 +9,12 @@ from __future__ import annotations
 from math import sqrt
 
 import numba
+import numpy as np
 
 COLLAPSED = 1e-13
 """Four times the squared area [m^4] below which a triangle counts as collapsed: a thousandth of the usual area."""
 
-_compiled = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+_compiled = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
 
 
 @_compiled
@@ -56,6 +57,46 @@ def strain_rates(x, v, faces, inverse, viscosity, force):
         _add(force, a, viscosity[i], _blend(1.0, at_b, 1.0, at_c))
         _add(force, b, -viscosity[i], at_b)
         _add(force, c, -viscosity[i], at_c)
+
+
+@_compiled
+def slowed(x, v, faces, inverse, viscosity, mass):
+    """Velocities w (V, 3) with m (w - v) = the impulse of strain rates of w; ``viscosity`` (n,) times time [N m s^2].
+
+    Conjugate gradients; vertices of infinite mass keep their velocity.
+    """
+    w, direction, residual = v.copy(), np.zeros_like(v), np.zeros_like(v)
+    strain_rates(x, w, faces, inverse, viscosity, residual)
+    enough, last = 0.0, 1.0
+    for a in range(len(v)):
+        if not np.isinf(mass[a]):
+            enough += 1e-16 * mass[a] * (v[a, 0] ** 2 + v[a, 1] ** 2 + v[a, 2] ** 2)
+    for _ in range(200):
+        square = 0.0
+        for a in range(len(v)):
+            for axis in range(3):
+                if np.isinf(mass[a]):
+                    residual[a, axis] = 0.0
+                square += residual[a, axis] ** 2 / mass[a]
+        if square <= enough:
+            break
+        for a in range(len(v)):
+            for axis in range(3):
+                direction[a, axis] = residual[a, axis] / mass[a] + square / last * direction[a, axis]
+        pushed = np.zeros_like(v)
+        strain_rates(x, direction, faces, inverse, viscosity, pushed)
+        work = 0.0
+        for a in range(len(v)):
+            for axis in range(3):
+                held = 0.0 if np.isinf(mass[a]) else mass[a] * direction[a, axis]
+                pushed[a, axis] = held - pushed[a, axis]
+                work += pushed[a, axis] * direction[a, axis]
+        for a in range(len(v)):
+            for axis in range(3):
+                w[a, axis] += square / work * direction[a, axis]
+                residual[a, axis] -= square / work * pushed[a, axis]
+        last = square
+    return w
 
 
 @_compiled

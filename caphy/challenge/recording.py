@@ -12,12 +12,13 @@ from caphy.body.surface import nearest_on_surface
 from caphy.challenge.hidden import Hidden
 from caphy.challenge.leapfrog import Force, Leapfrog
 from caphy.challenge.outside import FORCES
-from caphy.challenge.stage import FPS, Play, Stage
+from caphy.challenge.stage import CALM, FPS, RUN_UP, Play, Stage
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.garment.template import Garment, read_npz, write_npz
 from caphy.garment.topology import face_areas
 from caphy.io.measurements import Measurement
+from caphy.solve.integrators import State
 
 REVISION = 1
 """Raised whenever the same arguments give another motion, so that no older film is taken from a cache."""
@@ -50,10 +51,15 @@ def simulator(stage: Stage, play: Play, hidden: Hidden) -> Leapfrog:
     return Leapfrog(truth_model(stage.model, hidden), cloth, play.drive, force)
 
 
+def played(stage: Stage, play: Play, hidden: Hidden, frames: int) -> list[State]:
+    """States of the truth's mesh in each frame of a play."""
+    leapfrog = simulator(stage, play, hidden)
+    calm = leapfrog.run(play.start, round(CALM * FPS), FPS, calming=8.0)[-1]
+    return leapfrog.run(calm, round(RUN_UP * FPS) + frames - 1, FPS)[-frames:]
+
+
 def _simulated(stage: Stage, play: Play, hidden: Hidden, frames: int) -> np.ndarray:
-    run_up = round(-play.start.time * FPS)
-    states = simulator(stage, play, hidden).run(play.start, run_up + frames - 1, FPS)
-    return np.stack([state.x.numpy() for state in states[run_up - 1 :]])
+    return np.stack([state.x.numpy() for state in played(stage, play, hidden, frames)])
 
 
 def _key(stage: Stage, hidden: Hidden, seed: int, frames: int) -> str:

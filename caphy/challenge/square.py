@@ -11,7 +11,7 @@ import trimesh
 
 from caphy.challenge.leapfrog import Drive, Leapfrog
 from caphy.challenge.sheets import corners, other_square, users_square
-from caphy.challenge.stage import FPS, Part, Play, Stage
+from caphy.challenge.stage import CALM, FPS, RUN_UP, Part, Play, Stage
 from caphy.challenge.swings import BASE, HELD_OUT, RADIUS, TRAINING, Swing, about_vertical, ball_path, pin_path
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
@@ -32,8 +32,6 @@ MODEL = Model(
 )
 """A soft fabric of 200 g/m^2. Its little damping keeps cloth from humming, which cameras would never see."""
 
-RUN_UP = 20 / FPS
-"""Time in motion before the recording [s]."""
 APART = 0.95
 """Distance of the pins over the square's side."""
 BALL = trimesh.creation.icosphere(2, radius=RADIUS)
@@ -66,7 +64,7 @@ def _play(
     pins = corners(truth)
     fixed, order = np.isin(np.arange(len(truth.vertices)), pins), np.argsort(pins)
     turned = _settled(len(truth.vertices) == len(user.vertices)) @ about_vertical(swing.facing).T
-    start = State(-RUN_UP, torch.from_numpy(turned), torch.zeros(turned.shape, dtype=torch.float64))
+    start = State(-RUN_UP - CALM, torch.from_numpy(turned), torch.zeros(turned.shape, dtype=torch.float64))
     return Play(part, number, Drive(fixed, lambda time: path(time)[order], body, RUN_UP), start, keys)
 
 

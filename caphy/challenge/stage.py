@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-
 from caphy.challenge.leapfrog import Drive
 from caphy.effects.model import Model
 from caphy.garment.template import Garment
@@ -15,6 +13,11 @@ from caphy.solve.integrators import State
 
 FPS = 30.0
 """Of all measurements [Hz]."""
+
+CALM = 15 / FPS
+"""Time [s] in which cloth comes to rest under what is hidden, before anything moves."""
+RUN_UP = 20 / FPS
+"""Time in motion before the recording [s]."""
 
 Part = Literal["train", "held_out", "base"]
 
@@ -27,7 +30,7 @@ class Play:
         part: what the measurement is for.
         number: place among the motions of its part.
         drive: what holds and moves the cloth; recording begins at time zero.
-        start: state of the truth's cloth before the recording, at rest; its time is negative.
+        start: state of the truth's cloth before it calms down, moves and is recorded; its time is negative.
         keys: the measurement's own keys about pins and body.
     """
 
