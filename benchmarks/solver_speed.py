@@ -1,6 +1,6 @@
-"""Seconds per frame of the reference solver: a T-shirt on the bundled body, at several resolutions, on one core.
+"""Seconds per frame of the reference solver on one core: T-shirts on the bundled body, and cloth on shaken pins.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.solver_speed POSES [--frames N]
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.solver_speed [POSES] [--frames N]
 
 Prints seconds of processor time per dynamic frame at 30 fps, Newton iterations and where the time goes.
 """
@@ -20,20 +20,25 @@ import tyro
 
 from caphy.body.bundled import default_body
 from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
+from caphy.effects.trial import flat_cloth
 from caphy.garment.families import Tshirt, make
-from caphy.io.poses import read_poses
+from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.procedural import procedural_motion
 from caphy.solve.assembly import Hessian
 from caphy.solve.body_motion import BodyMotion
-from caphy.solve.integrators import INTEGRATORS, find_integrator
+from caphy.solve.factorize import Factor
+from caphy.solve.integrators import SDIRK2, ImplicitEuler, State
 from caphy.solve.newton import Newton
 from caphy.solve.preroll import start_state
-from caphy.solve.rollout import simulate
+from caphy.solve.rollout import Simulator
 
 EDGES = {"1k": 0.0325, "2k": 0.0227, "4.4k": 0.0152}
 """Edge lengths [m] of T-shirts of about so many vertices."""
+
+FPS = 30.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Options:
 
     poses: Annotated[Path | None, tyro.conf.Positional] = None
     """A pose file; a procedural motion without one."""
-    frames: int = 30
+    frames: int = 8
     """Frames to simulate."""
     tolerance: float = 5e-5
     """Largest force left on any vertex [N]."""
@@ -61,43 +66,69 @@ def timed(spent: Counter, label: str, owner: Any, name: str) -> None:
     setattr(owner, name, wrapper)
 
 
+def worn(name: str, poses: PoseSequence, tolerance: float) -> tuple[Simulator, State]:
+    """A T-shirt on the moving body by implicit Euler, and where it starts."""
+    body = default_body()
+    garment = make(replace(Tshirt(), edge_length=EDGES[name]), body)
+    model = snug_model()
+    newton = Newton(Potential(model, Cloth.of(garment, model.density)), tolerance=tolerance)
+    motion = BodyMotion(body, poses, garment)
+    return Simulator(newton, motion, ImplicitEuler()), start_state(newton, motion)
+
+
+def pinned(tolerance: float, cells: int = 34) -> tuple[Simulator, State]:
+    """A square metre held at two corners which are shaken, by SDIRK2."""
+    cloth = flat_cloth(cells, cells, 1.0, 1.0)
+    x = torch.from_numpy(cloth.vertices.copy())
+    top = np.flatnonzero(cloth.vertices[:, 1] == cloth.vertices[:, 1].max())
+    fixed = np.zeros(len(x), bool)
+    fixed[[top[cloth.vertices[top, 0].argmin()], top[cloth.vertices[top, 0].argmax()]]] = True
+    rest = x[torch.from_numpy(fixed)]
+
+    def pins(now: float) -> torch.Tensor:
+        turn = 2 * np.pi * 1.5 * now
+        shift = [0.1 * np.sin(turn), 0.05 * np.sin(1.7 * turn), 0.1 * np.cos(1.3 * turn) - 0.1]
+        return rest + torch.tensor([shift, [shift[0] - 0.15 * (1 - np.cos(turn)), *shift[1:]]], dtype=torch.float64)
+
+    model = Model(0.2, {name: {} for name in ("strain_stvk", "bending", "gravity", "inertia")})
+    newton = Newton(Potential(model, cloth), fixed, tolerance)
+    return Simulator(newton, None, SDIRK2(), pins), State(0.0, x, torch.zeros_like(x))
+
+
+def measure(label: str, simulator: Simulator, state: State, frames: int, substeps: int, spent: Counter) -> None:
+    """Simulate and print one line."""
+    spent.clear()
+    seconds, reports = [], []
+    for frame in range(frames):
+        start = time.process_time()
+        state, report = simulator.advance(State(frame / FPS, state.x, state.v), 1 / FPS, substeps)
+        seconds.append(time.process_time() - start)
+        reports += report
+    shares = ", ".join(f"{part} {100 * used / sum(seconds):.0f} %" for part, used in sorted(spent.items()))
+    print(
+        f"{label:24}{len(state.x):9d}{np.mean(seconds):9.2f}{np.median(seconds):8.2f}{len(reports) / frames:7.0f}"
+        f"{np.mean([report.iterations for report in reports]):8.1f}"
+        f"{np.mean([report.converged for report in reports]):10.0%}  {shares}",
+        flush=True,
+    )
+
+
 def main() -> None:
-    """Print one line per resolution and integrator."""
+    """Print one line per cloth."""
     options = tyro.cli(Options)
     torch.set_num_threads(1)
-    body = default_body()
-    poses = procedural_motion(0, 2.0, 30.0) if options.poses is None else read_poses(options.poses).resample(30.0)
+    poses = procedural_motion(0, 2.0, FPS) if options.poses is None else read_poses(options.poses).resample(FPS)
     poses = poses[: options.frames + 1]
     spent: Counter = Counter()
     timed(spent, "hessian", Hessian, "values")
     timed(spent, "factor", Hessian, "factorize")
+    timed(spent, "solve", Factor, "solve")
     timed(spent, "gradient", Potential, "gradient")
     timed(spent, "contact", BodyMotion, "state")
-    print(f"{'vertices':>8} {'integrator':>15} {'s/frame':>8} {'median':>7} {'newton':>7} {'converged':>10}  share")
-    for edge in EDGES.values():
-        garment = make(replace(Tshirt(), edge_length=edge), body)
-        model = snug_model()
-        potential = Potential(model, Cloth.of(garment, model.density))
-        motion = BodyMotion(body, poses, garment)
-        start = start_state(Newton(potential), motion)
-        for name in INTEGRATORS:
-            spent.clear()
-            marks = [time.process_time()]
-            trajectory = simulate(
-                potential,
-                motion,
-                start,
-                find_integrator(name),
-                tolerance=options.tolerance,
-                progress=lambda done, total, marks=marks: marks.append(time.process_time()),
-            )
-            seconds = np.diff(marks)
-            share = ", ".join(f"{label} {100 * spent[label] / seconds.sum():.0f} %" for label in sorted(spent))
-            print(
-                f"{len(garment.vertices):8d} {name:>15} {seconds.mean():8.2f} {np.median(seconds):7.2f} "
-                f"{trajectory.iterations[1:].mean():7.1f} {trajectory.converged.mean():10.0%}  {share}",
-                flush=True,
-            )
+    print(f"{'':24}{'vertices':>9}{'s/frame':>9}{'median':>8}{'minima':>7}{'newton':>8}{'converged':>10}  share")
+    for name in EDGES:
+        measure("T-shirt, implicit Euler", *worn(name, poses, options.tolerance), len(poses) - 1, 1, spent)
+    measure("pins, SDIRK2 twice", *pinned(options.tolerance), 3 * options.frames, 2, spent)
 
 
 if __name__ == "__main__":
