@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from caphy.diagnose.outside import outside
 from caphy.diagnose.search import search
 from caphy.effects.model import Model
 from caphy.refit.study import Study
@@ -23,6 +24,7 @@ class Base:
         changed: fitted numbers, by "effect.parameter"; relative changes of the user's own parameters. Empty where the
             user's model was good.
         gain: best gain of the library after that.
+        probes: best gain of flexible forces after that.
         variance: what is left in each mode at each lag (L, M) [m^2].
         median_mm: median distance there.
     """
@@ -30,6 +32,7 @@ class Base:
     model: Model
     changed: dict[str, float]
     gain: float
+    probes: float
     variance: np.ndarray
     median_mm: float
 
@@ -42,4 +45,5 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
         changed = dict(zip([c.name for c in found.fit.columns], map(float, found.fit.change), strict=True))
     errors = np.concatenate([response.error.ravel() for response in last.responses])
     best = max([score.gain for score in last.scores] + [0.0])
-    return Base(found.model, changed, best, last.variance, 1e3 * float(np.nanmedian(errors)))
+    flexible = max([0.0, *outside(found).gains.values()])
+    return Base(found.model, changed, best, flexible, last.variance, 1e3 * float(np.nanmedian(errors)))

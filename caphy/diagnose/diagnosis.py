@@ -24,7 +24,7 @@ from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import half_widths
 from caphy.refit.study import Progress, Study
 
-NOT_WORSE = 0.99
+NOT_WORSE = 0.97
 """The held-out error must fall at least to this share of what it was, or what was found is taken back."""
 
 
@@ -150,7 +150,7 @@ def diagnose(
     errors = None
     if held_out and found.terms:
         errors = held_out_errors(scenes[more:], start, found.model, found.screens[0].variance, progress)
-    elsewhere = outside(found)
+    elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
 
 

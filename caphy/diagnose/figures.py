@@ -86,9 +86,11 @@ def _answer(diagnosis: Diagnosis) -> str:
         return f"No effect is missing: the parameters of {_listed(list(diagnosis.groups))} are off."
     if diagnosis.verdict == "none of these":
         gain = 100 * diagnosis.outside.gains[diagnosis.outside.best]
+        terms = diagnosis.search.terms
+        after = f" after {' and '.join(term.group.label for term in terms)}" if terms else ""
         return (
-            f"Something is missing, and none of the known effects is it: a force that depends on "
-            f"{diagnosis.outside.best} takes away {gain:.0f} % of the misfit, the best known effect ({best.label}) "
+            f"Something is missing that none of the known effects explains: of what is left{after}, a force that depends "
+            f"on {diagnosis.outside.best} takes away {gain:.0f} %, the best known effect "
             f"{100 * diagnosis.outside.library:.0f} %. Write it with: caphy effects new my_effect"
         )
     limit = ", ".join(

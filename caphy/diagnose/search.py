@@ -23,7 +23,7 @@ LEAST_GAIN_OVER_BASE = 0.01
 """The same where base measurements tell what is found when nothing is missing."""
 LEAST_WALD = 20.0
 """Squared estimate over squared error."""
-OVER_BASE = 3.0
+OVER_BASE = 2.0
 """How many times the best gain on base measurements, where nothing is missing."""
 MOST_TERMS = 3
 """Effects that are added at most."""
@@ -40,8 +40,7 @@ _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 class Screen:
     """All windows against one model, in the columns of the whole library.
 
-    ``needed`` is the gain that an effect must reach to be accepted; ``evidence_of_probes`` is there for the model as
-    it was given.
+    ``needed`` is the gain that an effect must reach to be accepted; ``evidence_of_probes`` is of the flexible forces.
     """
 
     model: Model
@@ -130,9 +129,8 @@ def screen(
     """All windows against a model and the whole library; what ``original`` lacks counts as added."""
     groups = (*own_groups(model, original), *library(model, on_body))
     columns, places = columns_of(groups)
-    probes = _probes(model) if offsets is None else None
     offsets = study.settled(model, variance) if offsets is None else offsets
-    probed = study.respond(model, columns, offsets, "screening", probes)
+    probed = study.respond(model, columns, offsets, "screening", _probes(model))
     responses = picked(probed, range(len(columns)))
     variance = study.variance(responses) if variance is None else variance
     known = evidence(responses, variance)

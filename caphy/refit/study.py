@@ -26,6 +26,7 @@ ROUNDS = 4
 
 _SETTLED = 0.01  # of the misfit: what a further Gauss-Newton step must promise
 
+_SNAPPED = 2.0  # times its first misfit: what a window may count at most
 _FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
 
 Progress = Callable[[str, int, int], None]
@@ -102,7 +103,9 @@ class Fit:
         columns: what was fitted.
         responses: the windows at the fitted model, in these columns.
         evidence: what they say.
-        misfit: weighted chi2 over all windows.
+        misfit: weighted chi2 over all windows; a window that gets much worse than it was at the origin counts no more
+            than twice that, because a fold that snaps the other way says nothing of the numbers.
+        most: what each window may count at most (W,).
         converged: whether another step promised nothing.
     """
 
@@ -112,6 +115,7 @@ class Fit:
     responses: list[Response]
     evidence: Evidence
     misfit: float
+    most: np.ndarray
     converged: bool = False
 
     @property
@@ -167,7 +171,7 @@ def refined(
         offsets = [best_offset(response, variance, step) for response in best.responses]
         there = moved(best.model, best.columns, step)
         tried = study.respond(there, best.columns, offsets, what)
-        found = _judged(best.origin, there, best.columns, tried, variance, weight)
+        found = _judged(best.origin, there, best.columns, tried, variance, weight, best.most)
         gained = best.misfit - found.misfit
         if gained > 0:
             best, step = found, found.step
@@ -193,6 +197,10 @@ def _judged(
     responses: list[Response],
     variance: np.ndarray,
     weight: np.ndarray,
+    most: np.ndarray | None = None,
 ) -> Fit:
     known = evidence(responses, variance, weight)
-    return Fit(origin, model, columns, responses, known, float((known.weight * known.c).sum()))
+    each = known.weight * known.c
+    most = _SNAPPED * each if most is None else most
+    known = replace(known, weight=known.weight * np.minimum(1, most / np.maximum(each, 1e-300)))
+    return Fit(origin, model, columns, responses, known, float((known.weight * known.c).sum()), most)

@@ -62,14 +62,15 @@ def test_nothing_is_named_where_nothing_is_missing(plain):
 
 
 def test_a_force_from_outside_the_library_is_flagged():
-    def attracted(x, v):
-        """Towards a point, the more the nearer: no effect of the library."""
-        away = np.array([0.25, -0.35, 0.2]) - x
-        return 0.25 * away / (0.04 + (away**2).sum(1, keepdims=True))
+    def sewn_in(x, v):
+        """The lower half is pushed to the left and the upper half to the right: no effect of the library."""
+        push = np.zeros_like(x)
+        push[:, 0] = np.where(np.arange(len(x)) < len(x) // 2, 2.0, -2.0)
+        return push
 
-    found = diagnose(MODEL, [taken(1, push=attracted), taken(2, push=attracted)])
+    found = diagnose(MODEL, [taken(1, push=sewn_in), taken(2, push=sewn_in)])
     assert found.verdict == "none of these"
-    assert found.depends_on == "place in space"
+    assert found.depends_on == "place on the cloth"
     assert not found.found
 
 
