@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test lint bench avatar clean
+.PHONY: demo test lint bench challenge bench-diagnosis avatar clean
 
 demo: $(VENV)/.demo            ## serve the default avatar, send it a motion, write a GLB and a contact sheet
 	$(BIN)/caphy demo
@@ -19,6 +19,16 @@ lint: $(VENV)/.dev             ## ruff, pyright and the import layers
 
 bench: $(VENV)/.dev            ## latency, HTTP, training and solver figures, as ratios measured in one run
 	$(BIN)/python -m benchmarks
+
+SEED ?= 1
+challenge: $(VENV)/.dev        ## make data with a hidden effect, diagnose them, open the sealed answer
+	$(BIN)/caphy challenge new --seed $(SEED) -o challenge-out
+	$(BIN)/caphy diagnose challenge-out/model.json challenge-out/train_*.npz --base challenge-out/base_*.npz \
+		--held-out challenge-out/held_out_*.npz -o challenge-out/diagnosis
+	$(BIN)/caphy challenge reveal challenge-out
+
+bench-diagnosis: $(VENV)/.dev  ## does the diagnosis name what was hidden? hours; resumes
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.diagnosis bench-diagnosis.jsonl
 
 MOCAP ?= cmu_mocap
 UNSEEN = $(MOCAP)/bvh/131_01.bvh $(wildcard $(MOCAP)/bvh_from_expmap/test_*.bvh)

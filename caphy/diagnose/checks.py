@@ -11,6 +11,7 @@ from caphy.measure.scene import Scene
 
 _SIZE = (0.6, 1.6)  # median length of an edge over its rest length
 _SPREAD = 2.5  # ratio of the 90th to the 10th percentile of the same
+_STILL = 6.0  # standard deviations of the noise that cloth must move in two frames to tell their order
 _TURNS = 0.85  # step to the next frame over step to the one after: 0.5 on a straight path, 1 for shuffled frames
 
 
@@ -29,24 +30,24 @@ def _check_edges(vertices: np.ndarray, scene: Scene, where: str) -> None:
     rest = np.linalg.norm(scene.garment.vertices[a] - scene.garment.vertices[b], axis=-1)
     length = np.linalg.norm(vertices[:, a] - vertices[:, b], axis=-1) / rest
     low, middle, high = np.nanquantile(length, (0.1, 0.5, 0.9))
-    if not _SIZE[0] < middle < _SIZE[1]:
-        raise CaphyError(
-            f"{where}: the measured edges must be about as long as the cloth's at rest, but their median is "
-            f"{middle:.3g} times that; give metres, and the rest shape of the cloth that was measured"
-        )
     if high > _SPREAD * low:
         raise CaphyError(
             f"{where}: measured vertices must follow the cloth's mesh, but their edges are {low:.2g} to {high:.2g} "
             "times as long as at rest: vertices in another order, another mesh, or more noise than motion"
         )
+    if not _SIZE[0] < middle < _SIZE[1]:
+        raise CaphyError(
+            f"{where}: the measured edges must be about as long as the cloth's at rest, but their median is "
+            f"{middle:.3g} times that; give metres, and the rest shape of the cloth that was measured"
+        )
 
 
 def _check_order(vertices: np.ndarray, scene: Scene, where: str) -> None:
-    near = np.linalg.norm(vertices[1:-1] - vertices[:-2], axis=-1)
-    far = np.linalg.norm(vertices[2:] - vertices[:-2], axis=-1)
+    near = np.nanmedian(np.linalg.norm(vertices[1:-1] - vertices[:-2], axis=-1))
+    far = np.nanmedian(np.linalg.norm(vertices[2:] - vertices[:-2], axis=-1))
     noise = measurement_noise(scene.measurement)
-    moving = far > 6 * (0.0 if noise is None else noise.sigma) + 1e-3
-    ratio = float(np.median(near[moving] / far[moving])) if moving.sum() > 50 else 0.0
+    still = far < _STILL * (0.0 if noise is None or scene.measurement.noise_mm is None else noise.sigma) + 2e-3
+    ratio = 0.0 if still else float(near / far)
     if ratio > _TURNS:
         raise CaphyError(
             f"{where}: neighbouring frames must be near each other, but vertices move {ratio:.2g} times as far in one "

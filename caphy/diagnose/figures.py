@@ -89,8 +89,8 @@ def _answer(diagnosis: Diagnosis) -> str:
         terms = diagnosis.search.terms
         after = f" after {' and '.join(term.group.label for term in terms)}" if terms else ""
         return (
-            f"Something is missing that none of the known effects explains: of what is left{after}, a force that depends "
-            f"on {diagnosis.outside.best} takes away {gain:.0f} %, the best known effect "
+            f"Something is missing that none of the known effects explains: of what is left{after}, a force that "
+            f"depends on {diagnosis.outside.best} takes away {gain:.0f} %, the best known effect "
             f"{100 * diagnosis.outside.library:.0f} %. Write it with: caphy effects new my_effect"
         )
     limit = ", ".join(

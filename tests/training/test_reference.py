@@ -34,7 +34,11 @@ def test_overtrained_network_moves_as_the_solver():
     assert overtrain(network, objective, motions, STEPS) == STEPS
     after = compare_with_solver(network, potential, body, garment, clip)
     assert np.median(after.correction) < 0.15 * np.median(before.correction)
-    assert 0.995 < after.summary()["share_of_solver_s_decrease"] < 1.005
+    # Of each frame as low as the solver gets from the network's own past. The solver's own trajectory starts 3 mm away
+    # along the static drape's flat valley, where this network does not get to: there it is lower by another 1 %.
+    excess = (after.network - after.corrected).mean() / (after.template - after.corrected).mean()
+    assert -1e-6 < excess < 0.005
+    assert 0.98 < after.summary()["share_of_solver_s_decrease"] < 1.005
 
 
 @pytest.mark.parametrize(("keep", "forgets"), [(-3.0, True), (6.0, False)])
