@@ -8,7 +8,7 @@ that, friction and strain-rate damping, act at the end of each kick's interval, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -20,6 +20,7 @@ from caphy.challenge.planes import ContactPlanes
 from caphy.challenge.rates import bending_rates, slowed
 from caphy.effects.base import BodyState, Effect, Step
 from caphy.effects.cloth import Cloth
+from caphy.effects.compiled import KERNELS, Bound
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
@@ -34,6 +35,7 @@ RATE_ON_BODY = 3600.0
 
 FRICTION = "body_friction"
 VISCOSITY = "viscous_damping"
+BENDING = "bending_damping"
 
 Force = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 """Forces (V, 3) [N] at positions (V, 3) [m], velocities (V, 3) [m/s] and a time [s]."""
@@ -63,33 +65,36 @@ class Leapfrog:
         """The model's inertia is taken as masses; its gradient is never evaluated away from zero."""
         whole = Potential(model.without_effect("inertia"), cloth)
         self.drive, self.force, self.cloth = drive, force, whole.cloth
-        self.pinned = None if drive.fixed is None else torch.from_numpy(np.flatnonzero(drive.fixed))
-        self.mass = torch.as_tensor(whole.cloth.mass)[:, None] + _extra_mass(whole)
-        if float(self.mass.min()) <= 0:
+        mass = whole.cloth.mass[:, None] + _extra_mass(whole)
+        if mass.min() <= 0:
             raise CaphyError("every vertex must keep a positive mass; make negative extra masses smaller")
-        if self.pinned is not None:
-            self.mass[self.pinned] = torch.inf
+        if drive.fixed is not None:
+            mass[drive.fixed] = np.inf
+        self.mass, self._inverse = mass, 1 / mass
         self.friction = _only(whole, lambda name, effect: name == FRICTION)
         self.viscosity = whole.terms.pop(VISCOSITY, None)
-        self.damping = whole.terms.pop("bending_damping", None)
+        self.slow = _only(whole, lambda name, effect: not _is_stiff(effect) and name != BENDING)
         self.fast = _only(whole, lambda name, effect: _is_stiff(effect) and name != FRICTION)
-        self.slow = _only(whole, lambda name, effect: not _is_stiff(effect))
+        self._loops = [*_elastic_loops(self.fast), *_damping_loops(whole)]
         self.rate = self._stable_rate()
 
     def run(self, state: State, frames: int, fps: float, calming: float = 0.0) -> list[State]:
         """The states at ``frames`` frames after one; ``calming`` [1/s] slows all motion, to come to rest."""
         kicks = int(np.ceil(RATE / fps))
         planes = ContactPlanes(self.drive.body, state.time + self.drive.ahead)
-        now, states = _Now(state.x.clone(), state.v.clone(), state.time), []
-        self._feel(now, 1 / (kicks * fps), planes)
+        now, states = _Now(state.x.numpy().copy(), state.v.numpy().copy(), state.time), []
+        self._feel_slow(now, 1 / (kicks * fps), planes)
+        self._feel_fast(now, 1 / (kicks * fps), planes)
         for frame in range(frames):
             for kick in range(kicks):
-                end = state.time + frame / fps + (kick + 1) / (kicks * fps)
-                self._advance(now, end, planes)
+                self._advance(now, state.time + frame / fps + (kick + 1) / (kicks * fps), planes)
                 now.v *= 1 - calming / (kicks * fps)
-            if not bool(now.x.isfinite().all()):
-                raise CaphyError(f"the cloth flew apart at {end:.2f} s; {self.rate:.0f} steps per second are too few")
-            states.append(State(state.time + (frame + 1) / fps, now.x.clone(), now.v.clone()))
+            if not np.isfinite(now.x).all():
+                raise CaphyError(
+                    f"the cloth flew apart at {now.time:.2f} s; {self.rate:.0f} steps per second are too few"
+                )
+            x, v = torch.from_numpy(now.x.copy()), torch.from_numpy(now.v.copy())
+            states.append(State(state.time + (frame + 1) / fps, x, v))
         return states
 
     def _advance(self, now: _Now, end: float, planes: ContactPlanes) -> None:
@@ -97,88 +102,86 @@ class Leapfrog:
         span = end - now.time
         steps = int(np.ceil(self.rate * span))
         dt, path = span / steps, self._pin_path(now, end)
-        now.v += 0.5 * span / self.mass * now.slow
+        now.v += 0.5 * span * self._inverse * now.slow
         for _ in range(steps):
-            now.v += 0.5 * dt / self.mass * now.fast
+            now.v += 0.5 * dt * self._inverse * now.fast
             now.x += dt * now.v
             now.time += dt
-            if self.pinned is not None:
-                now.x[self.pinned], now.v[self.pinned] = path(now.time)
+            if self.drive.fixed is not None:
+                now.x[self.drive.fixed], now.v[self.drive.fixed] = path(now.time)
             self._feel_fast(now, dt, planes)
-            now.v += 0.5 * dt / self.mass * now.fast
+            now.v += 0.5 * dt * self._inverse * now.fast
         now.time = end
         self._feel_slow(now, span, planes)
-        now.v += 0.5 * span / self.mass * now.slow
+        now.v += 0.5 * span * self._inverse * now.slow
         self._soften(now, span, planes)
 
-    def _pin_path(self, now: _Now, end: float) -> Callable[[float], tuple[Tensor, Tensor]]:
+    def _pin_path(self, now: _Now, end: float) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
         """Positions and velocities (P, 3) of the pins from now to a time ``end`` [s], straight in between."""
-        if self.pinned is None:
-            return lambda time: (now.x, now.v)
-        assert self.drive.pins is not None
-        last = torch.from_numpy(self.drive.pins(end))
-        speed = (last - now.x[self.pinned]) / (end - now.time)
+        if self.drive.pins is None:
+            return lambda time: (now.x[:0], now.v[:0])
+        last = self.drive.pins(end)
+        speed = (last - now.x[self.drive.fixed]) / (end - now.time)
         return lambda time: (last - (end - time) * speed, speed)
 
-    def _feel(self, now: _Now, span: float, planes: ContactPlanes) -> None:
-        self._feel_slow(now, span, planes)
-        self._feel_fast(now, span, planes)
-
     def _feel_slow(self, now: _Now, span: float, planes: ContactPlanes) -> None:
-        body = planes.at(now.time + self.drive.ahead, now.x, now.v)
-        now.slow = -self.slow.gradient(now.x, explicit_step(now, span), body)[1]
+        now.slow = -self.slow.gradient(torch.from_numpy(now.x), explicit_step(now, span), self._body(now, planes))[
+            1
+        ].numpy()
         if self.force is not None:
-            now.slow += torch.from_numpy(self.force(now.x.numpy(), now.v.numpy(), now.time))
+            now.slow += self.force(now.x, now.v, now.time)
 
     def _feel_fast(self, now: _Now, dt: float, planes: ContactPlanes) -> None:
-        now.fast = self._stiff(now, dt, planes.at(now.time + self.drive.ahead, now.x, now.v))
+        now.fast = self._stiff(now, dt, self._body(now, planes))
 
-    def _stiff(self, now: _Now, dt: float, body: BodyState | None) -> Tensor:
+    def _body(self, now: _Now, planes: ContactPlanes) -> BodyState | None:
+        return planes.at(now.time + self.drive.ahead, now.x, now.v)
+
+    def _stiff(self, now: _Now, dt: float, body: BodyState | None) -> np.ndarray:
         """Force (V, 3) [N] of the stiff effects."""
-        force = -self.fast.gradient(now.x, explicit_step(now, dt), body)[1]
-        if self.damping is not None:
-            scale = self.damping.rest["length"] ** 2 / (8 * self.damping.rest["area"])
-            viscosity = (self.damping.values["viscosity"] * scale).numpy()
-            bending_rates(now.x.numpy(), now.v.numpy(), self.cloth.hinges, viscosity, force.numpy())
-        return force
+        slope = np.zeros_like(now.x)
+        for loop in self._loops:
+            loop(now.x, now.v, slope)
+        if self.fast.terms:
+            slope += self.fast.gradient(torch.from_numpy(now.x), explicit_step(now, dt), body)[1].numpy()
+        return -slope
 
     def _soften(self, now: _Now, span: float, planes: ContactPlanes) -> None:
         """Strain-rate damping and friction over a time [s], implicitly."""
         if self.viscosity is not None:
-            viscosity = float(self.viscosity.values["viscosity"]) * self.cloth.face_area
-            constants = self.cloth.faces, self.cloth.face_inverse, span * viscosity, self.mass[:, 0].numpy()
-            now.v = torch.from_numpy(slowed(now.x.numpy(), now.v.numpy(), *constants))
-        body = planes.at(now.time + self.drive.ahead, now.x, now.v)
+            viscosity = span * float(self.viscosity.values["viscosity"]) * self.cloth.face_area
+            now.v = slowed(now.x, now.v, self.cloth.faces, self.cloth.face_inverse, viscosity, self.mass[:, 0])
+        body = self._body(now, planes)
         if self.friction.terms and body is not None:
-            now.v += span / self.mass * self._friction(now, span, body)
+            now.v += span * self._inverse * self._friction(now, span, body)
 
-    def _friction(self, now: _Now, span: float, body: BodyState) -> Tensor:
+    def _friction(self, now: _Now, span: float, body: BodyState) -> np.ndarray:
         """Friction force (V, 3) [N] that slows the slide over the body and never turns it round.
 
         Of a force g against a slide u an explicit step takes dt g / m; here u becomes u / (1 + dt |g| / (m |u|)).
         """
-        force = -self.friction.gradient(now.x, explicit_step(now, span), body)[1]
-        relative = now.v - body.velocity
-        slide = relative - (relative * body.normal).sum(-1, keepdim=True) * body.normal
-        share = span * force.norm(dim=-1, keepdim=True) / (self.mass * (slide.norm(dim=-1, keepdim=True) + 1e-12))
-        return force / (1 + share)
+        force = -self.friction.gradient(torch.from_numpy(now.x), explicit_step(now, span), body)[1].numpy()
+        relative, normal = now.v - body.velocity.numpy(), body.normal.numpy()
+        slide = relative - (relative * normal).sum(-1, keepdims=True) * normal
+        size, speed = (np.linalg.norm(field, axis=-1, keepdims=True) for field in (force, slide))
+        return force / (1 + span * self._inverse * size / (speed + 1e-12))
 
     def _stable_rate(self, rounds: int = 40) -> float:
         """Steps per second [Hz] that the stiff effects demand of the cloth at rest, stretched by 10 %.
 
         Power iteration on the slope of their force, damping included; the scheme is stable up to dt^2 lambda = 4.
         """
-        rest = 1.1 * torch.as_tensor(self.cloth.vertices, dtype=torch.float64)
-        random = torch.randn(rest.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        rest = 1.1 * self.cloth.vertices
+        random = np.random.default_rng(0).normal(size=rest.shape)
         rate, tiny = RATE if self.drive.body is None else RATE_ON_BODY, 1e-7
         at_rest = self._stiff(_Now(rest, 0 * rest, 0.0), 1 / rate, None)
         while True:
             direction, fastest = random, 0.0
             for _ in range(rounds):
-                moved = tiny * direction / direction.norm()
+                moved = tiny * direction / np.linalg.norm(direction)
                 there = self._stiff(_Now(rest + moved, rate * moved, 0.0), 1 / rate, None)
-                direction = (there - at_rest) / (tiny * self.mass)
-                fastest = float(direction.norm())
+                direction = (there - at_rest) * self._inverse / tiny
+                fastest = float(np.linalg.norm(direction))
             if fastest < 2 * rate**2:
                 return rate
             rate *= 1.25
@@ -188,17 +191,42 @@ class Leapfrog:
 class _Now:
     """Positions and velocities (V, 3) at a time, and the forces (V, 3) [N] they call forth."""
 
-    x: Tensor
-    v: Tensor
+    x: np.ndarray
+    v: np.ndarray
     time: float
-    slow: Tensor = field(default_factory=lambda: torch.zeros(0))
-    fast: Tensor = field(default_factory=lambda: torch.zeros(0))
+    slow: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    fast: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+Loop = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+"""Adds to a gradient (V, 3) [N] what positions (V, 3) and velocities (V, 3) call forth."""
+
+
+def _elastic_loops(potential: Potential) -> Iterator[Loop]:
+    """The compiled effects of a potential that need neither history nor body, taken out of it."""
+    for name, term in list(potential.terms.items()):
+        if type(term.effect) not in KERNELS or term.effect.needs_step or term.effect.needs_body:
+            continue
+        kernel, _, given = KERNELS[type(term.effect)](Bound(term.index, term.rest, term.values, None, None))
+        constants = [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
+        del potential.terms[name]
+        yield lambda x, v, slope, kernel=kernel, constants=constants: kernel(
+            x[None], *constants, np.zeros(1), slope[None]
+        )
+
+
+def _damping_loops(potential: Potential) -> Iterator[Loop]:
+    """Bending damping, from the velocities themselves."""
+    if (term := potential.terms.get(BENDING)) is not None:
+        viscosity = (term.values["viscosity"] * term.rest["length"] ** 2 / (8 * term.rest["area"])).numpy()
+        hinges = potential.cloth.hinges
+        yield lambda x, v, slope: bending_rates(x, v, hinges, viscosity, slope)
 
 
 def explicit_step(now: _Now, dt: float) -> Step:
     """The step in which effects see the present positions and velocities, and no inertial force."""
-    origin = now.x - dt * now.v
-    return Step(dt, origin, now.x, origin, now.v, now.time)
+    x, v = torch.from_numpy(now.x), torch.from_numpy(now.v)
+    return Step(dt, x - dt * v, x, x - dt * v, v, now.time)
 
 
 def _is_stiff(effect: Effect) -> bool:
@@ -213,12 +241,12 @@ def _only(potential: Potential, wanted: Callable[[str, Effect], bool]) -> Potent
     return part
 
 
-def _extra_mass(potential: Potential) -> Tensor:
+def _extra_mass(potential: Potential) -> np.ndarray:
     """Inertia (V, 1) [kg] of the effects of mass: dt^2 times the curvature of their energies."""
-    x = torch.as_tensor(potential.cloth.vertices, dtype=torch.float64)
-    mass, step = torch.zeros(len(x), 1, dtype=torch.float64), explicit_step(_Now(x, 0 * x, 0.0), 1.0)
+    rest = potential.cloth.vertices
+    now, mass = _Now(rest, 0 * rest, 0.0), np.zeros((len(rest), 1))
     for term in potential.terms.values():
         if term.effect.group == "mass":
-            elements = potential.elements(term, x, step, None)
-            mass += term.scatter(term.effect.hessian(elements, term.values)[:, 0, 0, 0])[:, None]
+            elements = potential.elements(term, torch.from_numpy(rest), explicit_step(now, 1.0), None)
+            mass[:, 0] += term.scatter(term.effect.hessian(elements, term.values)[:, 0, 0, 0]).numpy()
     return mass

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 from torch import Tensor
 
 from caphy.effects.base import BodyState
 from caphy.measure.mesh_body import MeshBody
 from caphy.solve.body_motion import BodyMotion
 
-INTERVAL = 1 / 480
+INTERVAL = 1 / 240
 """Time [s] over which cloth keeps the tangent planes of its nearest points."""
 
 
@@ -21,7 +22,7 @@ class ContactPlanes:
         self._end: BodyState | None = None
         self._anchor: Tensor | None = None
 
-    def at(self, time: float, x: Tensor, v: Tensor) -> BodyState | None:
+    def at(self, time: float, x: np.ndarray, v: np.ndarray) -> BodyState | None:
         """What the body is to positions x (V, 3) [m] and velocities v (V, 3) [m/s] at a time [s] that only rises."""
         if self.body is None:
             return None
@@ -33,7 +34,7 @@ class ContactPlanes:
         anchor = self._end.anchor + (left / INTERVAL) * (self._anchor - self._end.anchor)
         return BodyState(point, self._end.normal, self._end.velocity, anchor)
 
-    def _look(self, body: BodyMotion | MeshBody, time: float, x: Tensor, v: Tensor) -> None:
-        last = body.state(time, x.numpy(), INTERVAL) if self._end is None else self._end
+    def _look(self, body: BodyMotion | MeshBody, time: float, x: np.ndarray, v: np.ndarray) -> None:
+        last = body.state(time, x, INTERVAL) if self._end is None else self._end
         self._anchor, self._until = last.anchor, time + INTERVAL
-        self._end = body.state(self._until, (x + INTERVAL * v).numpy(), INTERVAL)
+        self._end = body.state(self._until, x + INTERVAL * v, INTERVAL)

@@ -18,8 +18,8 @@ _compiled = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", 
 
 
 @_compiled
-def bending_rates(x, v, hinges, viscosity, force):
-    """Subtract 2 c_i dtheta/dt grad(theta) of hinges (n, 4) with viscosities c_i (n,) [J s] from ``force`` (V, 3)."""
+def bending_rates(x, v, hinges, viscosity, slope):
+    """Add 2 c_i dtheta/dt grad(theta) of hinges (n, 4) with viscosities c_i (n,) [J s] to ``slope`` (V, 3)."""
     for i in range(len(hinges)):
         a, b, c, d = hinges[i, 0], hinges[i, 1], hinges[i, 2], hinges[i, 3]
         edge, wing_c, wing_d = _between(x, a, b), _between(x, a, c), _between(x, a, d)
@@ -32,16 +32,16 @@ def bending_rates(x, v, hinges, viscosity, force):
         at_a = _blend(share_c - 1.0, at_c, share_d - 1.0, at_d)
         at_b = _blend(-share_c, at_c, -share_d, at_d)
         rate = _along(v, a, at_a) + _along(v, b, at_b) + _along(v, c, at_c) + _along(v, d, at_d)
-        moment = -2.0 * viscosity[i] * rate
-        _add(force, a, moment, at_a)
-        _add(force, b, moment, at_b)
-        _add(force, c, moment, at_c)
-        _add(force, d, moment, at_d)
+        moment = 2.0 * viscosity[i] * rate
+        _add(slope, a, moment, at_a)
+        _add(slope, b, moment, at_b)
+        _add(slope, c, moment, at_c)
+        _add(slope, d, moment, at_d)
 
 
 @_compiled
-def strain_rates(x, v, faces, inverse, viscosity, force):
-    """Subtract the forces of the stress eta dG/dt of faces (n, 3) with eta A (n,) [N m s] from ``force`` (V, 3).
+def strain_rates(x, v, faces, inverse, viscosity, slope):
+    """Add the slope of the stress eta dG/dt of faces (n, 3) with eta A (n,) [N m s] to ``slope`` (V, 3).
 
     ``inverse`` (n, 2, 2) [1/m] is that of each face's rest edge matrix.
     """
@@ -54,48 +54,34 @@ def strain_rates(x, v, faces, inverse, viscosity, force):
         uu, ww, uw = _dot(u, du), _dot(w, dw), 0.5 * (_dot(u, dw) + _dot(w, du))
         along_u, along_w = _blend(uu, u, uw, w), _blend(uw, u, ww, w)
         at_b, at_c = _blend(p, along_u, q, along_w), _blend(r, along_u, s, along_w)
-        _add(force, a, viscosity[i], _blend(1.0, at_b, 1.0, at_c))
-        _add(force, b, -viscosity[i], at_b)
-        _add(force, c, -viscosity[i], at_c)
+        _add(slope, a, -viscosity[i], _blend(1.0, at_b, 1.0, at_c))
+        _add(slope, b, viscosity[i], at_b)
+        _add(slope, c, viscosity[i], at_c)
 
 
 @_compiled
 def slowed(x, v, faces, inverse, viscosity, mass):
-    """Velocities w (V, 3) with m (w - v) = the impulse of strain rates of w; ``viscosity`` (n,) times time [N m s^2].
+    """Velocities w (V, 3) with m (w - v) = -:func:`strain_rates` of w; ``viscosity`` (n,) times the time [N m s^2].
 
     Conjugate gradients; vertices of infinite mass keep their velocity.
     """
-    w, direction, residual = v.copy(), np.zeros_like(v), np.zeros_like(v)
-    strain_rates(x, w, faces, inverse, viscosity, residual)
-    enough, last = 0.0, 1.0
+    w, residual, direction = v.copy(), np.zeros_like(v), np.zeros_like(v)
+    lightness = np.zeros_like(v)
     for a in range(len(v)):
-        if not np.isinf(mass[a]):
-            enough += 1e-16 * mass[a] * (v[a, 0] ** 2 + v[a, 1] ** 2 + v[a, 2] ** 2)
+        lightness[a, :] = 1.0 / mass[a]
+    strain_rates(x, w, faces, inverse, viscosity, residual)
+    residual = -residual
+    enough, last = 1e-16 * np.sum(v * v * np.where(lightness > 0, 1 / lightness, 0.0)), 1.0
     for _ in range(200):
-        square = 0.0
-        for a in range(len(v)):
-            for axis in range(3):
-                if np.isinf(mass[a]):
-                    residual[a, axis] = 0.0
-                square += residual[a, axis] ** 2 / mass[a]
+        square = np.sum(residual * residual * lightness)
         if square <= enough:
             break
-        for a in range(len(v)):
-            for axis in range(3):
-                direction[a, axis] = residual[a, axis] / mass[a] + square / last * direction[a, axis]
-        pushed = np.zeros_like(v)
-        strain_rates(x, direction, faces, inverse, viscosity, pushed)
-        work = 0.0
-        for a in range(len(v)):
-            for axis in range(3):
-                held = 0.0 if np.isinf(mass[a]) else mass[a] * direction[a, axis]
-                pushed[a, axis] = held - pushed[a, axis]
-                work += pushed[a, axis] * direction[a, axis]
-        for a in range(len(v)):
-            for axis in range(3):
-                w[a, axis] += square / work * direction[a, axis]
-                residual[a, axis] -= square / work * pushed[a, axis]
-        last = square
+        direction = lightness * residual + square / last * direction
+        slope = np.zeros_like(v)
+        strain_rates(x, direction, faces, inverse, viscosity, slope)
+        slope += np.where(lightness > 0, direction / lightness, 0.0)
+        step = square / np.sum(direction * slope)
+        w, residual, last = w + step * direction, residual - step * slope, square
     return w
 
 
@@ -130,7 +116,7 @@ def _along(v, a, p):
 
 
 @_compiled
-def _add(force, a, factor, p):
-    force[a, 0] += factor * p[0]
-    force[a, 1] += factor * p[1]
-    force[a, 2] += factor * p[2]
+def _add(slope, a, factor, p):
+    slope[a, 0] += factor * p[0]
+    slope[a, 1] += factor * p[1]
+    slope[a, 2] += factor * p[2]

@@ -12,7 +12,7 @@ from caphy.body.surface import nearest_on_surface
 from caphy.challenge.hidden import Hidden
 from caphy.challenge.leapfrog import Force, Leapfrog
 from caphy.challenge.outside import FORCES
-from caphy.challenge.stage import CALM, FPS, RUN_UP, Play, Stage
+from caphy.challenge.stage import FPS, RUN_UP, Play, Stage
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.garment.template import Garment, read_npz, write_npz
@@ -54,7 +54,7 @@ def simulator(stage: Stage, play: Play, hidden: Hidden) -> Leapfrog:
 def played(stage: Stage, play: Play, hidden: Hidden, frames: int) -> list[State]:
     """States of the truth's mesh in each frame of a play."""
     leapfrog = simulator(stage, play, hidden)
-    calm = leapfrog.run(play.start, round(CALM * FPS), FPS, calming=8.0)[-1]
+    calm = leapfrog.run(play.start, round((-play.start.time - RUN_UP) * FPS), FPS, calming=8.0)[-1]
     return leapfrog.run(calm, round(RUN_UP * FPS) + frames - 1, FPS)[-frames:]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from caphy.challenge.dressed import skirt, tshirt
 from caphy.challenge.hidden import Hidden, Verdict
 from caphy.challenge.outside import FORCES
 from caphy.challenge.recording import record, seen_by_user
@@ -18,7 +19,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
 
-SCENES = {"square": square}
+SCENES = {"square": square, "skirt": skirt, "tshirt": tshirt}
 """Scenes by name: what makes their stage from (seed, frames, same_mesh)."""
 
 
