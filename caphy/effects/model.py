@@ -60,6 +60,8 @@ class Model:
                 raise CaphyError(f"{name} needs {needs(effect)} in the same model; add it")
         object.__setattr__(self, "effects", checked)
 
+    __hash__ = None  # type: ignore[assignment]  # holds arrays
+
     def __eq__(self, other: object) -> bool:
         """Whether the physics is the same: effects and values, in whatever order, by whatever history."""
         if not isinstance(other, Model):
