@@ -1,0 +1,63 @@
+"""What a minimisation promises, from guesses that test it."""
+
+import numpy as np
+import torch
+
+from caphy.effects.base import BodyState, Step
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.io.poses import PoseSequence
+from caphy.solve.body_motion import BodyMotion
+from caphy.solve.newton import Newton
+
+ACTING = {name: {} for name in ("strain_stvk", "bending", "gravity", "inertia")}
+
+
+def test_crumpled_cloth_finds_a_minimum(sheet):
+    """Full Newton steps would diverge from there; at the end the exact Hessian is positive definite."""
+    cloth = sheet(0.4, 0.4, 7, 7)
+    newton = Newton(Potential(Model(0.2, ACTING), cloth), tolerance=1e-8)
+    rng = np.random.default_rng(7)
+    x = torch.from_numpy(cloth.vertices)
+    for _ in range(3):
+        guess = torch.from_numpy(0.5 * cloth.vertices + 0.03 * rng.normal(size=cloth.vertices.shape))
+        step = Step.implicit_euler(0.05, x, x)
+        found, report = newton.minimise(guess, step)
+        assert report.converged, report
+        energy, gradient = newton.potential.gradient(found, step)
+        assert float(gradient.abs().max()) <= 1e-8
+        assert float(energy) < float(newton.potential.gradient(guess, step)[0])
+        hessian = newton.hessian
+        assert np.linalg.eigvalsh(hessian.matrix(hessian.values(found, step, projection=0.0)).toarray())[0] > 0
+
+
+def test_contact_is_balanced_where_the_cloth_has_gone(sheet):
+    """Sliding 1.5 mm over a ball in one step: forces balance with the planes of the end, not those of the guess."""
+    cloth = sheet(0.05, 0.05, 6, 6)
+    newton = Newton(Potential(Model(0.2, ACTING | {"body_contact": {}}), cloth), tolerance=1e-7)
+    radius = 0.03
+
+    def ball(x):
+        normal = x / x.norm(dim=1, keepdim=True)
+        return BodyState(radius * normal, normal, torch.zeros_like(x), x)
+
+    flat = torch.from_numpy((cloth.vertices - [0.025, 0.025, 0])[:, [0, 2, 1]] * [1, 1, -1] + [0, radius + 0.0035, 0])
+    step = Step(1 / 30, flat, flat + torch.tensor([0.0015, -0.01, 0.0]), flat, torch.zeros_like(flat))
+    x, report = newton.minimise(flat, step, ball)
+    assert report.converged
+    unbalanced = newton.potential.gradient(x, step, ball(x))[1].abs().max()
+    assert float(unbalanced) < 1e-4
+    assert float((x - flat).norm(dim=1).max()) > 1e-3
+
+
+def test_no_step_passes_through_a_body(box_body, mat):
+    """Inertia wants the cloth a metre below, behind a box 0.4 m thick."""
+    poses = PoseSequence(np.zeros((2, 55, 3)), np.zeros((2, 3)), 30.0)
+    motion = BodyMotion(box_body, poses, mat)
+    newton = Newton(Potential(Model(0.2, ACTING | {"body_contact": {}}), Cloth.of(mat, 0.2)))
+    x = torch.from_numpy(mat.vertices)
+    step = Step(1 / 30, x, x - torch.tensor([0.0, 1.0, 0.0]), x, torch.zeros_like(x))
+    found, report = newton.minimise(x, step, lambda positions: motion.state(0.0, positions.numpy(), 1 / 30))
+    assert report.converged
+    assert float(found[:, 1].min()) > -0.02
