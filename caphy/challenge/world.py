@@ -79,7 +79,7 @@ def make(
         found[play.part].append(seen_by_user(stage, play, film, noise_mm, points, random))
     model = _astray(stage.model, wrong)
     answer = _answer(stage, hidden, seed, noise_mm, points, frames, wrong)
-    return World(model, *(tuple(found[part]) for part in ("train", "held_out", "base")), answer)
+    return World(model, tuple(found["train"]), tuple(found["held_out"]), tuple(found["base"]), answer)
 
 
 def _astray(model: Model, share: float) -> Model:

@@ -50,8 +50,8 @@ def _add_membrane(term: Term, e: Elements, x: np.ndarray, projection: float, slo
         return torch.stack([*stress, *tangent])
 
     found = _mixed(response, projection)
-    rest = (term.rest[key].numpy() for key in ("hat", "area"))
-    block_kernels.membrane(x[None], term.index.numpy(), *rest, found[:3], found[3:], slots, blocks)
+    hat, area = (term.rest[key].numpy() for key in ("hat", "area"))
+    block_kernels.membrane(x[None], term.index.numpy(), hat, area, found[:3], found[3:], slots, blocks)
 
 
 def _add_hinge(term: Term, e: Elements, x: np.ndarray, projection: float, slots, blocks) -> None:
@@ -64,8 +64,8 @@ def _add_hinge(term: Term, e: Elements, x: np.ndarray, projection: float, slots,
         return torch.stack([torch.zeros_like(moment) if convex else moment, stiffness.expand_as(moment)])
 
     found = _mixed(response, projection)
-    rest = (term.rest[key].numpy() for key in ("length", "area"))
-    block_kernels.hinge(x[None], index, *rest, *found, slots, blocks)
+    length, area = (term.rest[key].numpy() for key in ("length", "area"))
+    block_kernels.hinge(x[None], index, length, area, found[0], found[1], slots, blocks)
 
 
 def _mixed(response: Callable[[bool], Tensor], projection: float) -> np.ndarray:

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,8 @@ from caphy.effects.history import Revision, changes
 from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 
-ParameterValues = Mapping[str, np.ndarray]
+ParameterValues = Mapping[str, Any]
+"""Values by parameter: numbers or nested sequences when given, arrays once in a model."""
 
 
 def checked_values(effect_name: str, given: Mapping[str, object]) -> dict[str, np.ndarray]:
