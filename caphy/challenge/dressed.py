@@ -11,6 +11,7 @@ import torch
 from caphy.body.bundled import default_body
 from caphy.body.surface import nearest_on_surface
 from caphy.challenge.leapfrog import Drive
+from caphy.challenge.planes import FINER, MovingBody
 from caphy.challenge.stage import FPS, RUN_UP, Part, Play, Stage
 from caphy.challenge.swings import about_vertical
 from caphy.conventions import JOINT_NAMES
@@ -27,8 +28,6 @@ from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import State
 from caphy.solve.preroll import preroll_poses
 
-FINER = 8
-"""Poses of the truth per frame of the recording."""
 DRESSING = 1.0
 """Time from the T-pose to the run-up [s]."""
 FALLING = 10 / FPS
@@ -107,9 +106,10 @@ def _play(
     user: Garment, truth: Garment, part: Part, number: int, action: str, frames: int, random: np.random.Generator
 ) -> Play:
     motion = _motion(action, frames, random)
-    body = BodyMotion(default_body(), motion, truth)
-    ahead = DRESSING + RUN_UP
-    place = body.anchors(np.zeros(1))[0]
+    worn = BodyMotion(default_body(), motion, truth)
+    ahead, place = DRESSING + RUN_UP, worn.anchors(np.zeros(1))[0]
+    anchors = worn.anchors(worn.times) if truth.attached.any() else None
+    body = MovingBody(worn.vertices(worn.times), worn.body.faces, worn.fps, anchors)
     start = State(-ahead - FALLING, torch.from_numpy(place), torch.zeros(place.shape, dtype=torch.float64))
     seen = motion[round(ahead * FPS) * FINER :: FINER][:frames]
     before = motion[: round(ahead * FPS) * FINER : FINER]

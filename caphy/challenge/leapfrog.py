@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.challenge.planes import ContactPlanes
+from caphy.challenge.planes import ContactPlanes, MovingBody
 from caphy.challenge.rates import bending_rates, slowed
 from caphy.effects.base import BodyState, Effect, Step
 from caphy.effects.cloth import Cloth
@@ -24,8 +24,6 @@ from caphy.effects.compiled import KERNELS, Bound
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
-from caphy.measure.mesh_body import MeshBody
-from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import State
 
 RATE = 960.0
@@ -54,7 +52,7 @@ class Drive:
 
     fixed: np.ndarray | None = None
     pins: Callable[[float], np.ndarray] | None = None
-    body: BodyMotion | MeshBody | None = None
+    body: MovingBody | None = None
     ahead: float = 0.0
 
 

@@ -10,13 +10,13 @@ import torch
 import trimesh
 
 from caphy.challenge.leapfrog import Drive, Leapfrog
+from caphy.challenge.planes import FINER, MovingBody
 from caphy.challenge.sheets import corners, other_square, users_square
 from caphy.challenge.stage import CALM, FPS, RUN_UP, Part, Play, Stage
 from caphy.challenge.swings import BASE, HELD_OUT, RADIUS, TRAINING, Swing, about_vertical, ball_path, pin_path
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.garment.template import Garment
-from caphy.measure.mesh_body import MeshBody
 from caphy.solve.integrators import State
 
 MODEL = Model(
@@ -59,8 +59,8 @@ def _play(
     body = None
     if swing.ball:
         body = _ball(swing, frames, random)
-        keys["body_vertices"] = np.stack([body.vertices(RUN_UP + time) for time in times])
-        keys["body_faces"] = BALL.faces
+        keys["body_vertices"] = np.stack([body.at(RUN_UP + time) for time in times])
+        keys["body_faces"] = body.faces
     pins = corners(truth)
     fixed, order = np.isin(np.arange(len(truth.vertices)), pins), np.argsort(pins)
     turned = _settled(len(truth.vertices) == len(user.vertices)) @ about_vertical(swing.facing).T
@@ -68,11 +68,11 @@ def _play(
     return Play(part, number, Drive(fixed, lambda time: path(time)[order], body, RUN_UP), start, keys)
 
 
-def _ball(swing: Swing, frames: int, random: np.random.Generator) -> MeshBody:
+def _ball(swing: Swing, frames: int, random: np.random.Generator) -> MovingBody:
     """The ball from the start of the run-up on."""
-    centre = ball_path(swing, random)
-    times = np.arange(frames + round(RUN_UP * FPS)) / FPS
-    return MeshBody(np.stack([centre(time) + BALL.vertices for time in times]), np.asarray(BALL.faces), FPS)
+    centre, rate = ball_path(swing, random), FINER * FPS
+    times = np.arange(round((RUN_UP + frames / FPS) * rate)) / rate
+    return MovingBody(np.stack([centre(time) + BALL.vertices for time in times]), np.asarray(BALL.faces), rate)
 
 
 def _hung(garment: Garment) -> np.ndarray:
