@@ -62,6 +62,8 @@ def _cut(pattern: csr_array, positions: np.ndarray, vertices: np.ndarray) -> tup
     axes = np.linalg.eigh(centred.T @ centred).eigenvectors.T
     cuts = [_between(graph, centred @ axis, share) for axis in axes for share in _SHARES]
     middle = min(cuts, key=lambda cut: _cost(cut, len(vertices)))[0]
+    if not middle.any():  # parts that share no element; a front needs a vertex all the same
+        middle = np.arange(len(vertices)) == 0
     rest = np.flatnonzero(~middle)
     if len(rest) == 0:
         return vertices, []
