@@ -1,4 +1,4 @@
-"""Run every benchmark, each in a process of its own: ``python -m benchmarks [NAME...]``."""
+"""Run benchmarks, each in a process of its own: ``python -m benchmarks [NAME...]``; without names those of minutes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ import sys
 
 import benchmarks
 
+HOURS = ("diagnosis",)
+"""Run only by name or by a target of their own."""
+
 
 def main(names: list[str]) -> int:
     known = [info.name for info in pkgutil.iter_modules(benchmarks.__path__) if not info.name.startswith("_")]
@@ -17,7 +20,7 @@ def main(names: list[str]) -> int:
         print(f"there is no benchmark {unknown[0]!r}; known: {', '.join(known)}", file=sys.stderr)
         return 2
     failed = []
-    for name in names or known:
+    for name in names or [name for name in known if name not in HOURS]:
         print(f"\n== {name}", flush=True)
         if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], env=os.environ, check=False).returncode:
             failed.append(name)
