@@ -1,0 +1,59 @@
+"""``GET /avatars...``: what there is to dress."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import FastAPI, Path, Request, Response
+from fastapi.responses import JSONResponse
+
+from service import mesh
+from service.avatars import Avatar
+from service.problem import Problem
+
+AvatarId = Annotated[str, Path(description="an id that GET /avatars lists")]
+NOT_FOUND: dict[int | str, dict[str, Any]] = {
+    404: {"description": "no such avatar or garment", "content": {"application/problem+json": {}}}
+}
+
+
+def find_avatar(request: Request, identifier: str) -> Avatar:
+    avatars: dict[str, Avatar] = request.app.state.avatars
+    if identifier not in avatars:
+        raise Problem(404, f"there is no avatar {identifier[:64]!r}; there is {', '.join(avatars) or 'none'}")
+    return avatars[identifier]
+
+
+def add_avatars(app: FastAPI) -> None:
+    """Mount the routes."""
+
+    @app.get("/avatars")
+    async def avatars() -> list[dict[str, Any]]:
+        """What there is to dress."""
+        return [avatar.summary() for avatar in app.state.avatars.values()]
+
+    @app.get("/avatars/{avatar}", responses=NOT_FOUND)
+    async def describe(request: Request, avatar: AvatarId) -> dict[str, Any]:
+        """One avatar: garments, joints, licence, provenance, metrics."""
+        found = find_avatar(request, avatar)
+        bundle = found.bundle
+        return {
+            **found.summary(),
+            "joints": bundle.joints.tolist(),
+            "parents": bundle.parents.tolist(),
+            "licence": bundle.licence,
+            "provenance": dict(bundle.provenance),
+            "metrics": dict(bundle.metrics),
+        }
+
+    @app.get(
+        "/avatars/{avatar}/mesh",
+        responses={200: {"content": {"application/json": {}, mesh.GLB_MEDIA_TYPE: {}}}, **NOT_FOUND},
+        response_class=Response,
+    )
+    def static_mesh(request: Request, avatar: AvatarId, format: Literal["json", "glb"] = "json") -> Response:
+        """Body and garments in T-pose: vertices, faces and regions as JSON, or a GLB."""
+        bundle = find_avatar(request, avatar).bundle
+        if format == "glb":
+            return Response(mesh.mesh_glb(bundle), media_type=mesh.GLB_MEDIA_TYPE)
+        return JSONResponse(mesh.mesh_json(bundle))
