@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.io.poses import PoseSequence
+from caphy.rotations import quaternion_from_axis_angle
+from service.encodings import LABELS, Encoding, JointMotion, Meshes
 from service.engine import GarmentEngine
 from service.problem import Problem
 from service.protocol import FramesRequest, FramesResponse
@@ -136,23 +139,88 @@ def _require_bounded(request: FramesRequest) -> None:
         raise Problem(422, "state: must be finite; pass on what the last answer held")
 
 
-def answer(request: FramesRequest, engines: list[GarmentEngine], fps: float) -> FramesResponse:
-    """Run ``engines`` on a valid request, resampled to their ``fps``."""
+@dataclass(frozen=True)
+class Wanted:
+    """What an answer shall hold: vertices or blend weights, packed how, and normals or not."""
+
+    encoding: Encoding = Encoding.FLOAT32
+    normals: bool = False
+
+    @classmethod
+    def of(cls, encoding: str, normals: bool) -> Wanted:
+        """What a query or a hello asks for; raises Problem where it cannot be had."""
+        if encoding not in LABELS:
+            raise Problem(422, f"encoding: must be one of {', '.join(LABELS)}, got {encoding[:40]!r}")
+        if normals and encoding == Encoding.WEIGHTS.label:
+            raise Problem(422, "normals: are not sent with weights; the avatar's GLB holds their morph targets")
+        return cls(Encoding(LABELS.index(encoding)), normals)
+
+
+def answer(
+    request: FramesRequest,
+    engines: list[GarmentEngine],
+    fps: float,
+    wanted: Wanted = Wanted(),
+    pelvis: np.ndarray | None = None,
+) -> FramesResponse:
+    """Run ``engines`` on a valid request, resampled to their ``fps``; for weights the rest ``pelvis`` (3,) [m] too."""
     poses, transl = request.poses, request.transl
     if request.fps != fps:
         resampled = PoseSequence(poses=poses, transl=transl, fps=request.fps, source="request").resample(fps)
         poses, transl = resampled.poses, resampled.transl
     poses, transl = (np.ascontiguousarray(array, np.float32) for array in (poses, transl))
-    vertices, states, offset = {}, {}, 0
+    states, offset = {}, 0
     for engine in engines:
-        state = engine.initial_state()
+        states[engine.name] = engine.initial_state()
         if request.state.size:
-            state = np.ascontiguousarray(request.state[offset : offset + engine.state_size], np.float32)
+            states[engine.name] = np.array(request.state[offset : offset + engine.state_size], np.float32)
         offset += engine.state_size
-        vertices[engine.name], states[engine.name] = engine.run(poses, transl, state)
-        if not (np.isfinite(vertices[engine.name]).all() and np.isfinite(states[engine.name]).all()):
-            raise Problem(422, f"garment {engine.name!r} left the finite numbers; is the state one it answered itself?")
-    return FramesResponse(vertices, states, fps, request.fps)
+    meshes, states = dress(engines, poses, transl, states, wanted, pelvis)
+    fields = meshes.normals, meshes.weights, meshes.joints
+    return FramesResponse(meshes.vertices, states, fps, request.fps, wanted.encoding, *fields)
+
+
+def dress(
+    engines: list[GarmentEngine],
+    poses: np.ndarray,
+    transl: np.ndarray,
+    states: Mapping[str, np.ndarray],
+    wanted: Wanted,
+    pelvis: np.ndarray | None = None,
+) -> tuple[Meshes, dict[str, np.ndarray]]:
+    """Meshes of poses (T, 55, 3) and transl (T, 3), float32 at the engines' rate, and the states after them."""
+    shown, after = {}, {}
+    for engine in engines:
+        run = engine.blend if wanted.encoding is Encoding.WEIGHTS else engine.run
+        shown[engine.name], after[engine.name] = run(poses, transl, states[engine.name])
+        require_finite(engine.name, shown[engine.name], after[engine.name])
+    return packed(engines, poses, transl, shown, wanted, pelvis), after
+
+
+def packed(
+    engines: list[GarmentEngine],
+    poses: np.ndarray,
+    transl: np.ndarray,
+    shown: Mapping[str, np.ndarray],
+    wanted: Wanted,
+    pelvis: np.ndarray | None,
+) -> Meshes:
+    """What engines showed, vertices or blend weights, with all that the encoding adds."""
+    if wanted.encoding is Encoding.WEIGHTS:
+        if pelvis is None:
+            raise ValueError("weights need the rest pelvis")
+        turns = quaternion_from_axis_angle(poses.astype(np.float64))
+        turns = turns / np.linalg.norm(turns, axis=-1, keepdims=True)
+        joints = JointMotion(pelvis + transl, turns[..., [1, 2, 3, 0]])
+        return Meshes(len(poses), weights=shown, joints=joints)
+    normals = {engine.name: engine.normals(shown[engine.name]) for engine in engines} if wanted.normals else {}
+    return Meshes(len(poses), shown, normals)
+
+
+def require_finite(name: str, *arrays: np.ndarray) -> None:
+    """Raise Problem where a network was driven out of the numbers."""
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise Problem(422, f"garment {name!r} left the finite numbers; is the state one it answered itself?")
 
 
 def json_answer(response: FramesResponse) -> bytes:

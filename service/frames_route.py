@@ -11,6 +11,7 @@ from fastapi import FastAPI, Query, Request, Response
 
 from service import frames, protocol
 from service.avatar_routes import AvatarId, find_avatar
+from service.encodings import EncodingName
 from service.problem import Problem
 from service.settings import Settings
 
@@ -50,6 +51,8 @@ async def post_frames(
     request: Request,
     avatar: AvatarId,
     garment: Annotated[list[str], Query(description="garments to answer; all where none is named")] = [],  # noqa: B006
+    encoding: Annotated[EncodingName, Query(description="how binary answers pack the meshes")] = "float32",
+    normals: Annotated[bool, Query(description="binary answers hold vertex normals too")] = False,
 ) -> Response:
     """Garment meshes for a pose sequence: JSON or binary (docs/protocol.md), like the request or as `Accept` asks."""
     settings: Settings = request.app.state.settings
@@ -59,6 +62,9 @@ async def post_frames(
     if sent not in (JSON_MEDIA_TYPE, protocol.MEDIA_TYPE):
         raise Problem(415, f"content-type must be {JSON_MEDIA_TYPE} or {protocol.MEDIA_TYPE}, got {sent or 'none'!r}")
     wanted = _answer_type(request.headers.get("accept", "*/*"), sent)
+    packing = frames.Wanted.of(encoding, normals)
+    if wanted == JSON_MEDIA_TYPE and packing != frames.Wanted():
+        raise Problem(422, f"encoding and normals are for binary answers; ask for {protocol.MEDIA_TYPE} by accept")
     body = await _read(request, settings.max_body_bytes)
 
     def work() -> Response:
@@ -68,7 +74,7 @@ async def post_frames(
         if wanted == JSON_MEDIA_TYPE:
             _require_few_frames(len(parsed.poses) * found.bundle.fps / parsed.fps, settings)
         read = time.perf_counter()
-        answered = frames.answer(parsed, engines, found.bundle.fps)
+        answered = frames.answer(parsed, engines, found.bundle.fps, packing, found.bundle.joints[0])
         inferred = time.perf_counter()
         response = _encode(answered, wanted)
         encoded = time.perf_counter()

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from caphy.errors import CaphyError
+from service.encodings import Encoding, JointMotion, Meshes, Part, decode_meshes, encode_meshes
 
 MEDIA_TYPE: Final = "application/octet-stream"
 VERSION: Final = 1
@@ -20,8 +21,13 @@ REQUEST_HEADER: Final = struct.Struct("<4sHHIIfI")
 """magic "CPHQ", version, reserved 0, frames, joints, fps, state floats."""
 RESPONSE_HEADER: Final = struct.Struct("<4sHHIff")
 """magic "CPHR", version, garments, frames, fps, fps of the request."""
+ENCODED_HEADER: Final = struct.Struct("<4sHHIffBBH")
+"""The same of version 2, then encoding, flags, reserved 0; for every answer that is not plain float32."""
+ENCODED_VERSION: Final = 2
+NORMALS: Final = 1
+"""Flag of version 2: each garment's vertices are followed by their normals."""
 GARMENT_HEADER: Final = struct.Struct("<40sII")
-"""name in ASCII padded with zeros, vertices, state floats."""
+"""name in ASCII padded with zeros, vertices (or blend shapes, where weights are sent), state floats."""
 FLOAT: Final = np.dtype("<f4")
 
 
@@ -38,12 +44,25 @@ class FramesRequest:
 @dataclass(frozen=True, eq=False)
 class FramesResponse:
     """Per garment vertices (T, V, 3) [m] and the state (S,) after the last frame; at ``fps`` [Hz], resampled from
-    ``request_fps`` where they differ."""
+    ``request_fps`` where they differ.
+
+    normals, weights, joints: as in :class:`service.encodings.Meshes`; with weights there are no vertices.
+    """
 
     vertices: Mapping[str, np.ndarray]
     states: Mapping[str, np.ndarray]
     fps: float
     request_fps: float
+    encoding: Encoding = Encoding.FLOAT32
+    normals: Mapping[str, np.ndarray] = field(default_factory=dict)
+    weights: Mapping[str, np.ndarray] = field(default_factory=dict)
+    joints: JointMotion | None = None
+
+    @property
+    def meshes(self) -> Meshes:
+        """What the encodings pack."""
+        frames = len(next(iter((self.vertices or self.weights).values())))
+        return Meshes(frames, self.vertices, self.normals, self.weights, self.joints)
 
 
 def encode_request(request: FramesRequest) -> bytes:
@@ -73,35 +92,79 @@ def decode_request(body: bytes) -> FramesRequest:
     return FramesRequest(poses.reshape(frames, joints, 3), transl.reshape(frames, 3), float(fps), state)
 
 
-def encode_response(response: FramesResponse) -> list[bytes | memoryview]:
-    """The parts of a response's bytes, in order; vertices are not copied."""
+def encode_response(response: FramesResponse) -> list[Part]:
+    """The parts of a response's bytes, in order; float32 vertices are not copied."""
+    if response.encoding is Encoding.FLOAT32 and not response.normals:
+        return _encode_plain(response)
+    meshes, states = response.meshes, response.states
+    flags = NORMALS if response.normals else 0
+    rates = response.fps, response.request_fps
+    parts: list[Part] = [
+        ENCODED_HEADER.pack(
+            b"CPHR", ENCODED_VERSION, len(states), meshes.frames, *rates, response.encoding.value, flags, 0
+        )
+    ]
+    for name, array in (meshes.vertices or meshes.weights).items():
+        parts.append(GARMENT_HEADER.pack(name.encode("ascii"), array.shape[1], states[name].size))
+    parts += encode_meshes(meshes, response.encoding)
+    return parts + [_floats(state) for state in states.values()]
+
+
+def _encode_plain(response: FramesResponse) -> list[Part]:
+    """Version 1, which anybody can read in a few lines: vertices and state of one garment after another."""
     frames = len(next(iter(response.vertices.values())))
     header = RESPONSE_HEADER.pack(b"CPHR", VERSION, len(response.vertices), frames, response.fps, response.request_fps)
-    parts: list[bytes | memoryview] = [header]
+    parts: list[Part] = [header]
     for name, vertices in response.vertices.items():
         parts.append(GARMENT_HEADER.pack(name.encode("ascii"), vertices.shape[1], response.states[name].size))
     for name, vertices in response.vertices.items():
-        for array in (vertices, response.states[name]):
-            parts.append(np.ascontiguousarray(array, FLOAT).reshape(-1).view(np.uint8).data)
+        parts += [_floats(vertices), _floats(response.states[name])]
     return parts
+
+
+def _floats(array: np.ndarray) -> memoryview:
+    return np.ascontiguousarray(array, FLOAT).reshape(-1).view(np.uint8).data
 
 
 def decode_response(body: bytes) -> FramesResponse:
     """The response of ``body``; raises CaphyError where the bytes are not one."""
     try:
-        magic, version, count, frames, fps, request_fps = RESPONSE_HEADER.unpack_from(body)
-        if magic != b"CPHR" or version != VERSION:
-            raise CaphyError(f"a response starts with CPHR and version {VERSION}, got {magic!r} and {version}")
-        start = RESPONSE_HEADER.size
-        records = [GARMENT_HEADER.unpack_from(body, start + i * GARMENT_HEADER.size) for i in range(count)]
-        offset = start + count * GARMENT_HEADER.size
-        vertices, states = {}, {}
-        for padded, size, state_size in records:
-            name = padded.rstrip(b"\0").decode("ascii")
-            vertices[name] = np.frombuffer(body, FLOAT, frames * size * 3, offset).reshape(frames, size, 3)
-            offset += 4 * frames * size * 3
-            states[name] = np.frombuffer(body, FLOAT, state_size, offset)
-            offset += 4 * state_size
+        magic, version = struct.unpack_from("<4sH", body)
+        if magic != b"CPHR" or version not in (VERSION, ENCODED_VERSION):
+            raise CaphyError(f"a response starts with CPHR and version 1 or 2, got {magic!r} and {version}")
+        return _decode_plain(body) if version == VERSION else _decode_encoded(body)
     except (struct.error, ValueError) as error:
         raise CaphyError(f"the response is cut short or is none: {error}") from error
+
+
+def _decode_plain(body: bytes) -> FramesResponse:
+    _, _, count, frames, fps, request_fps = RESPONSE_HEADER.unpack_from(body)
+    records, offset = _records(body, RESPONSE_HEADER.size, count)
+    vertices, states = {}, {}
+    for name, size, state_size in records:
+        vertices[name] = np.frombuffer(body, FLOAT, frames * size * 3, offset).reshape(frames, size, 3)
+        offset += 4 * frames * size * 3
+        states[name] = np.frombuffer(body, FLOAT, state_size, offset)
+        offset += 4 * state_size
     return FramesResponse(vertices, states, fps, request_fps)
+
+
+def _decode_encoded(body: bytes) -> FramesResponse:
+    _, _, count, frames, fps, request_fps, code, flags, _ = ENCODED_HEADER.unpack_from(body)
+    encoding = Encoding(code)
+    records, offset = _records(body, ENCODED_HEADER.size, count)
+    counts = {name: size for name, size, _ in records}
+    meshes, offset = decode_meshes(body, offset, encoding, frames, counts, bool(flags & NORMALS))
+    states = {}
+    for name, _, state_size in records:
+        states[name] = np.frombuffer(body, FLOAT, state_size, offset)
+        offset += 4 * state_size
+    return FramesResponse(
+        meshes.vertices, states, fps, request_fps, encoding, meshes.normals, meshes.weights, meshes.joints
+    )
+
+
+def _records(body: bytes, offset: int, count: int) -> tuple[list[tuple[str, int, int]], int]:
+    """Name, vertices and state floats of each garment, and the offset after them."""
+    found = [GARMENT_HEADER.unpack_from(body, offset + i * GARMENT_HEADER.size) for i in range(count)]
+    return [(name.rstrip(b"\0").decode("ascii"), v, s) for name, v, s in found], offset + count * GARMENT_HEADER.size
