@@ -98,7 +98,7 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, state_
         raise Problem(422, f"fps: must lie between {FPS_RANGE[0]:g} and {FPS_RANGE[1]:g}, got {request.fps:g}")
     if frames == 0:
         raise Problem(422, "poses: there must be at least one frame")
-    answered = frames if request.fps == fps else int((frames - 1) / request.fps * fps + 1e-6) + 1
+    answered = answered_frames(request, fps)
     if max(frames, answered) > settings.max_frames:
         raise Problem(
             413,
@@ -113,10 +113,17 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, state_
         raise Problem(
             422, f"a motion is continued at {fps:g} fps only, got {request.fps:g}; resample the whole of it first"
         )
-    _require_bounded(request)
+    require_bounded(request)
 
 
-def _require_bounded(request: FramesRequest) -> None:
+def answered_frames(request: FramesRequest, fps: float) -> int:
+    """How many frames at ``fps`` answer the request."""
+    frames = len(request.poses)
+    return frames if request.fps == fps else int((frames - 1) / request.fps * fps + 1e-6) + 1
+
+
+def require_bounded(request: FramesRequest) -> None:
+    """Raise Problem naming frame and joint where an angle, a translation or a state is not finite or absurd."""
     with np.errstate(all="ignore"):  # signalling NaN, infinity
         angle = np.linalg.norm(request.poses, axis=-1)
     bad = np.argwhere(~(angle <= MAX_ANGLE))

@@ -1,0 +1,1 @@
+"""Clients of the stream, in Python and in JavaScript; both are tested with the same messages."""

@@ -1,0 +1,316 @@
+"""The binary messages of a stream, little-endian throughout; docs/stream.md is their text.
+
+Both sides of the wire use this file; the vectors under tests/service/vectors were written without it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+
+from caphy.conventions import JOINT_COUNT
+from caphy.errors import CaphyError
+from service.encodings import Encoding, Meshes, Part, decode_meshes, encode_meshes
+
+MAGIC: Final = b"CPHS"
+VERSION: Final = 1
+HEADER: Final = struct.Struct("<4sBBHIId")
+"""magic, version, type, count, number, extra, time; the same for every message."""
+HELLO: Final = struct.Struct("<fHBB")
+"""fps of the poses, credits, encoding, flags."""
+WELCOME: Final = struct.Struct("<fHH")
+"""fps of the avatar, most frames of one message, most credits."""
+MESHES: Final = struct.Struct("<If")
+"""tick of the first mesh, milliseconds between the poses' arrival and this message."""
+RATE: Final = struct.Struct("<f")
+NAME: Final = struct.Struct("<40s")
+GARMENT: Final = struct.Struct("<40sII")
+"""name in ASCII padded with zeros, vertices (or blend shapes, where weights are sent), state floats."""
+NORMALS: Final = 1
+FLOAT: Final = np.dtype("<f4")
+POSE_FLOATS: Final = 3 * JOINT_COUNT + 3
+
+
+class Kind(IntEnum):
+    """The type of a message: below 128 from the client, above from the server."""
+
+    HELLO = 1
+    POSES = 2
+    CREDIT = 3
+    RESET = 4
+    RATE = 5
+    GET_STATE = 6
+    WELCOME = 129
+    MESHES = 130
+    STATE = 131
+    ERROR = 132
+
+
+KINDS: Final = {kind.value: kind for kind in Kind}
+ENCODINGS: Final = {encoding.value: encoding for encoding in Encoding}
+
+
+@dataclass(frozen=True, eq=False)
+class Hello:
+    """The first message: garments (all where none is named), how to pack them, the poses' rate [Hz], credits, and the
+    states (S,) of an earlier stream to continue, one after another, or none."""
+
+    garments: tuple[str, ...]
+    fps: float
+    encoding: Encoding = Encoding.FLOAT32
+    normals: bool = False
+    credits: int = 2
+    state: np.ndarray = field(default_factory=lambda: np.zeros(0, FLOAT))
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses (T, 55, 3) [rad] and transl (T, 3) [m]; ``number`` is that of the first, ``time`` [s] comes back."""
+
+    number: int
+    time: float
+    poses: np.ndarray
+    transl: np.ndarray
+
+
+@dataclass(frozen=True)
+class Credit:
+    """The client may take ``count`` more answers."""
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Reset:
+    """The next pose starts a new motion."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """The poses from here on come at ``fps`` [Hz]."""
+
+    fps: float
+
+
+@dataclass(frozen=True)
+class GetState:
+    """Asks for the states after all poses sent so far; ``time`` [s] comes back."""
+
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class GarmentRecord:
+    """What a stream says of a garment: ``count`` vertices, or blend shapes where weights are sent."""
+
+    name: str
+    count: int
+    state_size: int
+
+
+@dataclass(frozen=True)
+class Welcome:
+    """The stream begins: the avatar's rate [Hz], the limits, and the garments in the order of the meshes."""
+
+    fps: float
+    max_frames: int
+    max_credits: int
+    garments: tuple[GarmentRecord, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Dressed:
+    """The answer to a message of poses.
+
+    number: of the newest pose taken in. skipped: messages of poses so far that were taken in and not answered.
+    time: as the poses' message had it [s]. tick: index of the first mesh, at the avatar's rate, since hello or reset.
+    milliseconds: between the poses' arrival and this message's departure.
+    """
+
+    number: int
+    skipped: int
+    time: float
+    tick: int
+    milliseconds: float
+    meshes: Meshes
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The states (S,) of all garments, one after another, after the pose of ``number``."""
+
+    number: int
+    time: float
+    state: np.ndarray
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What went wrong, with HTTP's code for it; ``number`` is that of the first pose of the message refused, or 0."""
+
+    code: int
+    text: str
+    number: int = 0
+
+
+ClientMessage = Hello | Poses | Credit | Reset | Rate | GetState
+ServerMessage = Welcome | Dressed | State | Failure
+
+
+def encode_client(message: ClientMessage) -> bytes:
+    """The bytes of a message to the server."""
+    match message:
+        case Hello():
+            rates = HELLO.pack(message.fps, message.credits, message.encoding, NORMALS if message.normals else 0)
+            names = [NAME.pack(name.encode("ascii")) for name in message.garments]
+            head = _header(Kind.HELLO, len(names), extra=message.state.size)
+            return b"".join([head, rates, *names, _floats(message.state)])
+        case Poses():
+            head = _header(Kind.POSES, len(message.poses), message.number, time=message.time)
+            return b"".join([head, _floats(message.poses), _floats(message.transl)])
+        case Credit():
+            return _header(Kind.CREDIT, extra=message.count)
+        case Reset():
+            return _header(Kind.RESET)
+        case Rate():
+            return _header(Kind.RATE) + RATE.pack(message.fps)
+        case GetState():
+            return _header(Kind.GET_STATE, time=message.time)
+
+
+def decode_client(body: bytes) -> ClientMessage:
+    """The client's message in ``body``; raises CaphyError where the bytes are none."""
+    kind, count, number, extra, time = _read_header(body)
+    match kind:
+        case Kind.HELLO:
+            return _decode_hello(body, count, extra)
+        case Kind.POSES:
+            _require_length(body, HEADER.size + 4 * count * POSE_FLOATS, f"{count} poses of {JOINT_COUNT} joints")
+            floats = np.frombuffer(body, FLOAT, offset=HEADER.size)
+            poses, transl = floats[: 3 * JOINT_COUNT * count], floats[3 * JOINT_COUNT * count :]
+            return Poses(number, time, poses.reshape(count, JOINT_COUNT, 3), transl.reshape(count, 3))
+        case Kind.CREDIT | Kind.RESET | Kind.GET_STATE:
+            _require_length(body, HEADER.size, f"a message of type {kind.value}")
+            return {Kind.CREDIT: Credit(extra), Kind.RESET: Reset()}.get(kind, GetState(time))
+        case Kind.RATE:
+            _require_length(body, HEADER.size + RATE.size, "a message of type 5")
+            return Rate(RATE.unpack_from(body, HEADER.size)[0])
+    raise CaphyError(f"type {kind.value} is one of the server's, a client sends {_types(False)}")
+
+
+def _decode_hello(body: bytes, count: int, states: int) -> Hello:
+    start = HEADER.size + HELLO.size
+    _require_length(
+        body, start + NAME.size * count + 4 * states, f"hello with {count} garments and {states} state floats"
+    )
+    fps, credits, code, flags = HELLO.unpack_from(body, HEADER.size)
+    if code not in ENCODINGS:
+        raise CaphyError(f"the encoding must be one of {list(ENCODINGS)}, got {code}")
+    if flags & ~NORMALS:
+        raise CaphyError(f"flags must be 0 or {NORMALS}, got {flags}")
+    names = tuple(_name(NAME.unpack_from(body, start + i * NAME.size)[0]) for i in range(count))
+    state = np.frombuffer(body, FLOAT, states, start + NAME.size * count)
+    return Hello(names, fps, ENCODINGS[code], bool(flags), credits, state)
+
+
+def encode_welcome(message: Welcome) -> bytes:
+    """The bytes of the server's first message."""
+    states = sum(garment.state_size for garment in message.garments)
+    head = _header(Kind.WELCOME, len(message.garments), extra=states)
+    records = [GARMENT.pack(g.name.encode("ascii"), g.count, g.state_size) for g in message.garments]
+    return b"".join([head, WELCOME.pack(message.fps, message.max_frames, message.max_credits), *records])
+
+
+def encode_meshes_message(message: Dressed, encoding: Encoding) -> list[Part]:
+    """The parts of the bytes of an answer, in order."""
+    head = _header(Kind.MESHES, message.meshes.frames, message.number, message.skipped, message.time)
+    return [head, MESHES.pack(message.tick, message.milliseconds), *encode_meshes(message.meshes, encoding)]
+
+
+def encode_state(message: State) -> bytes:
+    """The bytes of the states asked for."""
+    return _header(Kind.STATE, 0, message.number, message.state.size, message.time) + _floats(message.state)
+
+
+def encode_failure(message: Failure) -> bytes:
+    """The bytes of an error; its text is cut to 2,000 bytes."""
+    text = message.text.encode()[:2000].decode(errors="ignore").encode()
+    return _header(Kind.ERROR, 0, message.number, message.code) + text
+
+
+@dataclass
+class ServerDecoder:
+    """Reads the server's messages; what the client chose and the welcome said tells how meshes are packed."""
+
+    encoding: Encoding
+    normals: bool
+    counts: Mapping[str, int] = field(default_factory=dict)
+
+    def decode(self, body: bytes) -> ServerMessage:
+        """The server's message in ``body``; raises CaphyError where the bytes are none."""
+        kind, count, number, extra, time = _read_header(body)
+        try:
+            match kind:
+                case Kind.WELCOME:
+                    return self._welcome(body, count)
+                case Kind.MESHES:
+                    tick, milliseconds = MESHES.unpack_from(body, HEADER.size)
+                    start = HEADER.size + MESHES.size
+                    meshes, _ = decode_meshes(body, start, self.encoding, count, self.counts, self.normals)
+                    return Dressed(number, extra, time, tick, milliseconds, meshes)
+                case Kind.STATE:
+                    return State(number, time, np.frombuffer(body, FLOAT, extra, HEADER.size))
+                case Kind.ERROR:
+                    return Failure(extra, body[HEADER.size :].decode(errors="replace"), number)
+        except (struct.error, ValueError) as error:
+            raise CaphyError(f"the message of type {kind.value} is cut short: {error}") from error
+        raise CaphyError(f"type {kind.value} is one of the client's, a server sends {_types(True)}")
+
+    def _welcome(self, body: bytes, count: int) -> Welcome:
+        start = HEADER.size + WELCOME.size
+        records = [GARMENT.unpack_from(body, start + i * GARMENT.size) for i in range(count)]
+        garments = tuple(GarmentRecord(_name(name), vertices, states) for name, vertices, states in records)
+        self.counts = {garment.name: garment.count for garment in garments}
+        fps, frames, most = WELCOME.unpack_from(body, HEADER.size)
+        return Welcome(fps, frames, most, garments)
+
+
+def _header(kind: Kind, count: int = 0, number: int = 0, extra: int = 0, time: float = 0.0) -> bytes:
+    return HEADER.pack(MAGIC, VERSION, kind, count, number, extra, time)
+
+
+def _read_header(body: bytes) -> tuple[Kind, int, int, int, float]:
+    if len(body) < HEADER.size:
+        raise CaphyError(f"a message starts with a header of {HEADER.size} bytes, got {len(body)} in all")
+    magic, version, code, count, number, extra, time = HEADER.unpack_from(body)
+    if magic != MAGIC or version != VERSION:
+        raise CaphyError(f"a message starts with CPHS and version {VERSION}, got {magic!r} and {version}")
+    kind = KINDS.get(code)
+    if kind is None:
+        raise CaphyError(f"there is no message of type {code}")
+    return kind, count, number, extra, time
+
+
+def _require_length(body: bytes, expected: int, what: str) -> None:
+    if len(body) != expected:
+        raise CaphyError(f"{what} makes {expected} bytes, got {len(body)}")
+
+
+def _name(padded: bytes) -> str:
+    try:
+        return padded.rstrip(b"\0").decode("ascii")
+    except UnicodeDecodeError as error:
+        raise CaphyError(f"names are ASCII padded with zeros, got {padded[:40]!r}") from error
+
+
+def _types(server: bool) -> Sequence[int]:
+    return [kind.value for kind in Kind if (kind.value > 128) == server]
+
+
+def _floats(array: np.ndarray) -> bytes:
+    return np.ascontiguousarray(array, FLOAT).tobytes()

@@ -1,0 +1,244 @@
+"""One stream's state: what has come, what may be answered, and what is computed next. It knows no sockets.
+
+The rule of credits. A message of poses is answered if there is a credit for it. Of messages that wait, only as many as
+there are credits can be answered, and the newest are; older ones are skipped. A skipped message is not sent, but it is
+lived: its poses go through the networks all the same, so that every mesh is the one that a client which misses nothing
+would have got. Messages wait for a credit until too many do; then the oldest are lived at once.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Final
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from service import frames
+from service.avatars import Avatar
+from service.encodings import Encoding, Meshes
+from service.engine import GarmentEngine
+from service.frames import FPS_RANGE, Wanted
+from service.problem import Problem
+from service.protocol import FramesRequest
+from service.stream.clock import CausalClock
+from service.stream.limits import StreamLimits
+from service.stream.messages import (
+    Credit,
+    Dressed,
+    GarmentRecord,
+    GetState,
+    Hello,
+    Poses,
+    Rate,
+    Reset,
+    State,
+    Welcome,
+    encode_meshes_message,
+    encode_state,
+)
+
+HELD_FRAMES: Final = 64
+"""Frames that wait for a credit before the oldest are lived."""
+QUEUE: Final = 128
+"""Messages that wait before no more are read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ticks:
+    """A message of poses at the avatar's rate: poses (N, 55, 3) and transl (N, 3), float32; N may be 0."""
+
+    number: int
+    time: float
+    arrived: float
+    poses: np.ndarray
+    transl: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """Poses to live (N, 55, 3), and which of them to show: all from ``shown`` on, as the answer to ``answered``."""
+
+    poses: np.ndarray
+    transl: np.ndarray
+    shown: int
+    number: int
+    answered: Ticks | None
+
+
+class Session:
+    """One client's stream. No method blocks; :meth:`finish` may run in another thread than the others, but not at the
+    same time as :meth:`next_job`.
+
+    Raises Problem 404 for unknown garments and 422 for a hello that cannot be answered.
+    """
+
+    def __init__(self, avatar: Avatar, hello: Hello, limits: StreamLimits) -> None:
+        self.engines = avatar.select(list(hello.garments))
+        self.wanted = Wanted.of(hello.encoding.label, hello.normals)
+        self.pelvis = avatar.bundle.joints[0]
+        self.fps = avatar.bundle.fps
+        self.states = self._first_states(hello.state)
+        self.limits = limits
+        self.skipped = 0
+        self._credits = 0
+        self._tick = 0
+        self._number = 0
+        self._frames = 0
+        self._queue: deque[Ticks | Reset | GetState] = deque()
+        self._poses_waiting = 0
+        self._clock = CausalClock(self.fps, _checked_rate(hello.fps), limits.max_frames)
+        self._add_credits(hello.credits)
+
+    def welcome(self) -> Welcome:
+        """What the server says first."""
+        weights = self.wanted.encoding is Encoding.WEIGHTS
+        records = [
+            GarmentRecord(e.name, e.weight_count if weights else e.vertex_count, e.state_size) for e in self.engines
+        ]
+        return Welcome(self.fps, self.limits.max_frames, self.limits.max_credits, tuple(records))
+
+    @property
+    def is_full(self) -> bool:
+        """Whether messages wait for whoever computes, so that no more should be read."""
+        return len(self._queue) >= QUEUE
+
+    def take(self, message: Poses | Credit | Reset | Rate | GetState) -> None:
+        """Take a message in. Raises CaphyError, and nothing has happened, where it cannot be."""
+        match message:
+            case Poses():
+                self._take_poses(message)
+            case Credit():
+                self._add_credits(message.count)
+            case Rate():
+                self._clock.pose_fps = _checked_rate(message.fps)
+            case Reset():
+                self._clock.restart()
+                self._queue.append(message)
+            case GetState():
+                self._queue.append(message)
+
+    def next_job(self, free: bool) -> Job | bytes | None:
+        """What to do now: poses to compute, a message to send, or nothing.
+
+        ``free``: whether a message could be sent at once; where not, nothing is answered.
+        """
+        self._forget_before_reset()
+        while self._queue:
+            first = self._queue[0]
+            if isinstance(first, Reset):
+                self._queue.popleft()
+                self.states, self._tick, self._number = self._first_states(np.zeros(0)), 0, 0
+            elif isinstance(first, GetState):
+                return self._state_message(first) if free else None
+            else:
+                return self._poses_job(free)
+        return None
+
+    def finish(self, job: Job, meshes: Meshes, states: Mapping[str, np.ndarray]) -> bytes | None:
+        """The answer to a job that was computed, if it has one."""
+        self.states, self._number = dict(states), job.number
+        self._tick += len(job.poses)
+        if job.answered is None:
+            return None
+        taken = 1e3 * (perf_counter() - job.answered.arrived)
+        message = Dressed(job.number, self.skipped, job.answered.time, self._tick - meshes.frames, taken, meshes)
+        return b"".join(encode_meshes_message(message, self.wanted.encoding))
+
+    def _take_poses(self, message: Poses) -> None:
+        frames.require_bounded(FramesRequest(message.poses, message.transl, self.fps, np.zeros(0)))
+        if not len(message.poses):
+            raise CaphyError("a message of poses must hold at least one")
+        if len(message.poses) > self.limits.max_frames:
+            raise CaphyError(
+                f"at most {self.limits.max_frames} frames are taken at once, got {len(message.poses)}; send fewer"
+            )
+        poses, transl = self._clock.take(message.number, message.poses, message.transl)
+        last = message.number + len(message.poses) - 1
+        self._queue.append(Ticks(last, message.time, perf_counter(), poses, transl))
+        self._poses_waiting += 1
+        self._frames += len(poses)
+
+    def _add_credits(self, count: int) -> None:
+        self._credits = min(self._credits + count, self.limits.max_credits)
+
+    def _first_states(self, given: np.ndarray) -> dict[str, np.ndarray]:
+        size = sum(engine.state_size for engine in self.engines)
+        if given.size not in (0, size):
+            raise Problem(422, f"state: must hold {size} floats for these garments, or none, got {given.size}")
+        if not (np.abs(given) <= frames.MAX_STATE).all():
+            raise Problem(422, "state: must be finite; pass on what the service answered")
+        return split_states(self.engines, given)
+
+    def _forget_before_reset(self) -> None:
+        """Poses before a reset move nothing that anybody will see."""
+        last = max((i for i, item in enumerate(self._queue) if isinstance(item, Reset)), default=0)
+        if not last or any(isinstance(item, GetState) for item in self._queue):
+            return
+        for _ in range(last):
+            item = self._queue.popleft()
+            if isinstance(item, Ticks):
+                self._forget(item)
+                self.skipped += 1
+
+    def _forget(self, item: Ticks) -> None:
+        self._poses_waiting -= 1
+        self._frames -= len(item.poses)
+
+    def _state_message(self, request: GetState) -> bytes:
+        self._queue.popleft()
+        state = np.concatenate([self.states[engine.name] for engine in self.engines])
+        return encode_state(State(self._number, request.time, state))
+
+    def _poses_job(self, free: bool) -> Job | None:
+        available = self._credits if free else 0
+        lived: list[Ticks] = []
+        count = 0
+        while self._may_skip(available) and count < self.limits.max_frames:
+            lived.append(self._pop())
+            count += len(lived[-1].poses)
+        self.skipped += len(lived)
+        answered = None
+        if available and self._poses_waiting <= available and self._queue and isinstance(self._queue[0], Ticks):
+            answered = self._pop()
+            lived.append(answered)
+            self._credits -= 1
+        if not lived:
+            return None
+        poses = lived[0].poses if len(lived) == 1 else np.concatenate([item.poses for item in lived])
+        transl = lived[0].transl if len(lived) == 1 else np.concatenate([item.transl for item in lived])
+        shown = len(poses) - (len(answered.poses) if answered else 0)
+        return Job(poses, transl, shown, lived[-1].number, answered)
+
+    def _may_skip(self, available: int) -> bool:
+        """Whether the first in the queue are poses that will not be answered and must not wait."""
+        if not self._queue or not isinstance(self._queue[0], Ticks):
+            return False
+        if available:
+            return self._poses_waiting > available
+        follows = any(not isinstance(item, Ticks) for item in self._queue)
+        return follows or (self._frames > HELD_FRAMES and self._poses_waiting > 1)
+
+    def _pop(self) -> Ticks:
+        item = self._queue.popleft()
+        if not isinstance(item, Ticks):
+            raise TypeError("the first in the queue must be poses")
+        self._forget(item)
+        return item
+
+
+def split_states(engines: list[GarmentEngine], joined: np.ndarray) -> dict[str, np.ndarray]:
+    """The state (S,) of each engine's garment from all of them one after another, or the first states from none."""
+    if not joined.size:
+        return {engine.name: engine.initial_state() for engine in engines}
+    ends = np.cumsum([engine.state_size for engine in engines])[:-1]
+    return {e.name: part.astype(np.float32) for e, part in zip(engines, np.split(joined, ends), strict=True)}
+
+
+def _checked_rate(fps: float) -> float:
+    if not FPS_RANGE[0] <= fps <= FPS_RANGE[1]:
+        raise Problem(422, f"fps: must lie between {FPS_RANGE[0]:g} and {FPS_RANGE[1]:g}, got {fps:g}")
+    return float(fps)
