@@ -11,41 +11,60 @@ from fastapi import FastAPI
 import caphy
 from service import problem
 from service.avatar_routes import add_avatars
-from service.avatars import Avatar, load_avatars
 from service.frames_route import add_frames
-from service.problem import Problem
+from service.guard import Guard, Guarded
+from service.health import add_health
+from service.keys import RequireKey, Subprotocol
+from service.library import Library
+from service.metrics import Metrics, add_metrics
+from service.observe import Observed
+from service.openinference.routes import add_open_inference
 from service.settings import Settings, read_settings
+from service.stream.routes import add_stream
+
+PUBLIC = ()
+"""Paths that need no key: a page and its files, which hold nothing of the avatars. Folders end with a slash."""
 
 
-def create_app(settings: Settings | None = None, avatars: dict[str, Avatar] | None = None) -> FastAPI:
-    """The application; avatars that are not given are loaded, and errors in them raised, when it starts."""
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """The application; avatars that are not loaded yet are loaded, and errors in them raised, when it starts.
+
+    ``app.state`` holds settings, library, metrics and guard for every route.
+    """
     settings = settings or read_settings()
+    metrics = Metrics()
+    library = Library(settings.avatars, settings.chunk_frames, metrics)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        app.state.avatars = avatars or load_avatars(settings.avatars, settings.chunk_frames)
-        yield
+        if not library.avatars:
+            await anyio.to_thread.run_sync(library.load)
+        async with anyio.create_task_group() as tasks:
+            if settings.reload_seconds:
+                tasks.start_soon(library.watch, settings.reload_seconds)
+            yield
+            tasks.cancel_scope.cancel()
 
     app = FastAPI(title="caphy", version=caphy.__version__, lifespan=lifespan)
-    app.state.avatars = {}
     app.state.settings = settings
-    app.state.limiter = anyio.CapacityLimiter(settings.threads)
+    app.state.library = library
+    app.state.metrics = metrics
+    app.state.guard = Guard(settings, metrics)
     problem.install(app)
-    _add_health(app)
+    add_health(app)
     add_avatars(app)
     add_frames(app)
+    add_stream(app)
+    add_open_inference(app)
+    add_metrics(app, metrics)
+    _add_middleware(app, settings)
     return app
 
 
-def _add_health(app: FastAPI) -> None:
-    @app.get("/health")
-    async def health() -> dict[str, str]:
-        """The process answers."""
-        return {"status": "ok", "version": caphy.__version__}
-
-    @app.get("/ready", responses={503: {"description": "avatars are still loading"}})
-    async def ready() -> dict[str, str]:
-        """Avatars are loaded and warm."""
-        if not app.state.avatars:
-            raise Problem(503, "avatars are still loading")
-        return {"status": "ready"}
+def _add_middleware(app: FastAPI, settings: Settings) -> None:
+    """The one added last is the outermost: requests are observed, counted, asked for the key, in this order."""
+    app.add_middleware(Subprotocol)
+    if settings.api_key is not None:
+        app.add_middleware(RequireKey, key=settings.api_key.get_secret_value(), public=PUBLIC)
+    app.add_middleware(Guarded, guard=app.state.guard)
+    app.add_middleware(Observed, metrics=app.state.metrics)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, Path, Request, Response
-from fastapi.responses import JSONResponse
+from fastapi.requests import HTTPConnection
 
+from caphy.io.bundle import AvatarBundle
 from service import mesh
 from service.avatars import Avatar
 from service.problem import Problem
@@ -17,8 +19,9 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {
 }
 
 
-def find_avatar(request: Request, identifier: str) -> Avatar:
-    avatars: dict[str, Avatar] = request.app.state.avatars
+def find_avatar(request: HTTPConnection, identifier: str) -> Avatar:
+    """The avatar of that id; raises Problem 404 naming those there are."""
+    avatars: dict[str, Avatar] = request.app.state.library.avatars
     if identifier not in avatars:
         raise Problem(404, f"there is no avatar {identifier[:64]!r}; there is {', '.join(avatars) or 'none'}")
     return avatars[identifier]
@@ -30,7 +33,7 @@ def add_avatars(app: FastAPI) -> None:
     @app.get("/avatars")
     async def avatars() -> list[dict[str, Any]]:
         """What there is to dress."""
-        return [avatar.summary() for avatar in app.state.avatars.values()]
+        return [avatar.summary() for avatar in app.state.library.avatars.values()]
 
     @app.get("/avatars/{avatar}", responses=NOT_FOUND)
     async def describe(request: Request, avatar: AvatarId) -> dict[str, Any]:
@@ -53,7 +56,11 @@ def add_avatars(app: FastAPI) -> None:
     )
     def static_mesh(request: Request, avatar: AvatarId, format: Literal["json", "glb"] = "json") -> Response:
         """Body and garments in T-pose: vertices, faces and regions as JSON, or a GLB."""
-        bundle = find_avatar(request, avatar).bundle
+        found = find_avatar(request, avatar)
         if format == "glb":
-            return Response(mesh.mesh_glb(bundle), media_type=mesh.GLB_MEDIA_TYPE)
-        return JSONResponse(mesh.mesh_json(bundle))
+            return Response(found.once("glb", mesh.mesh_glb), media_type=mesh.GLB_MEDIA_TYPE)
+        return Response(found.once("json", _mesh_json), media_type="application/json")
+
+
+def _mesh_json(bundle: AvatarBundle) -> bytes:
+    return json.dumps(mesh.mesh_json(bundle), separators=(",", ":")).encode()

@@ -2,22 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, AvatarBundle, read_bundle
 from service.engine import GarmentEngine
+from service.metrics import resident_bytes
 from service.problem import Problem
 
 
 class Avatar:
-    """One bundle and the engines of its garments, in the manifest's order."""
+    """One bundle and the engines of its garments, in the manifest's order.
 
-    def __init__(self, identifier: str, bundle: AvatarBundle, chunk: int) -> None:
+    version: names the bundle's content, so it is the same in every process that serves it. loaded_bytes and
+    loaded_seconds: what reading it and warming its engines took of memory and time.
+    """
+
+    def __init__(self, identifier: str, bundle: AvatarBundle, chunk: int, version: str = "unknown") -> None:
         self.id = identifier
         self.bundle = bundle
+        self.version = version
         self.engines = {garment.name: GarmentEngine(garment, chunk) for garment in bundle.garments}
+        self.loaded_bytes = 0
+        self.loaded_seconds = 0.0
+        self._made: dict[str, bytes] = {}
+        self._lock = threading.Lock()
 
     def select(self, names: list[str]) -> list[GarmentEngine]:
         """The engines of garments ``names``, all where none are named, in the manifest's order."""
@@ -27,10 +41,11 @@ class Avatar:
         return [engine for name, engine in self.engines.items() if name in names or not names]
 
     def summary(self) -> dict[str, Any]:
-        """Id, name, frame rate and garments."""
+        """Id, name, version, frame rate and garments."""
         return {
             "id": self.id,
             "name": self.bundle.name,
+            "version": self.version,
             "fps": self.bundle.fps,
             "garments": [
                 {"name": engine.name, "vertices": engine.vertex_count, "state_size": engine.state_size}
@@ -38,18 +53,47 @@ class Avatar:
             ],
         }
 
+    def once(self, name: str, make: Callable[[AvatarBundle], bytes]) -> bytes:
+        """What ``make`` returns for the bundle; made at the first call under that ``name``, kept for the others."""
+        with self._lock:
+            if name not in self._made:
+                self._made[name] = make(self.bundle)
+            return self._made[name]
+
+
+def load_avatar(place: Path, chunk: int) -> Avatar:
+    """The bundle in ``place``, warm; raises CaphyError where it is broken."""
+    before, started = resident_bytes(), perf_counter()
+    version = _version(place)
+    avatar = Avatar(place.name, read_bundle(place), chunk, version)
+    avatar.loaded_bytes = max(0, resident_bytes() - before)
+    avatar.loaded_seconds = perf_counter() - started
+    return avatar
+
+
+def bundle_places(folder: Path) -> list[Path]:
+    """The bundles in ``folder``, or ``folder`` itself if it is one; raises CaphyError where there is none."""
+    if not folder.is_dir():
+        raise CaphyError(f"{folder}: is no folder of avatars; give one with --avatars or CAPHY_AVATARS")
+    if (folder / MANIFEST).is_file():
+        return [folder.resolve()]
+    places = sorted(path.parent for path in folder.glob(f"*/{MANIFEST}") if not path.parent.name.startswith("."))
+    if not places:
+        raise CaphyError(f"{folder}: holds no avatar bundle; write one there with 'caphy export'")
+    return places
+
 
 def load_avatars(folder: Path, chunk: int) -> dict[str, Avatar]:
     """Every bundle in ``folder``, or ``folder`` itself if it is one, by directory name.
 
     Raises CaphyError where there is none, or one is broken.
     """
-    if not folder.is_dir():
-        raise CaphyError(f"{folder}: is no folder of avatars; give one with --avatars or CAPHY_AVATARS")
-    if (folder / MANIFEST).is_file():
-        places = [folder.resolve()]
-    else:
-        places = sorted(path.parent for path in folder.glob(f"*/{MANIFEST}") if not path.parent.name.startswith("."))
-    if not places:
-        raise CaphyError(f"{folder}: holds no avatar bundle; write one there with 'caphy export'")
-    return {place.name: Avatar(place.name, read_bundle(place), chunk) for place in places}
+    return {place.name: load_avatar(place, chunk) for place in bundle_places(folder)}
+
+
+def _version(place: Path) -> str:
+    """The manifest's hash: it holds those of all other files."""
+    try:
+        return hashlib.sha256((place / MANIFEST).read_bytes()).hexdigest()[:12]
+    except OSError as error:
+        raise CaphyError(f"{place / MANIFEST}: cannot be read ({error.strerror}); copy the bundle again") from error

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import time
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated, Any, Final
 
-import anyio
-import anyio.to_thread
 from fastapi import FastAPI, Query, Request, Response
 
 from service import frames, protocol
+from service.answers import PartsResponse
 from service.avatar_routes import AvatarId, find_avatar
 from service.encodings import EncodingName
+from service.engine import GarmentEngine
+from service.guard import hold_of
+from service.metrics import Metrics, Stages
 from service.problem import Problem
 from service.settings import Settings
 
 JSON_MEDIA_TYPE = "application/json"
+FLOAT_BYTES: Final = 4
+TEXT_BYTES: Final = 10
+"""Of a number in JSON, rounded to a hundredth of a millimetre."""
 FRAMES_BODY = {
     "requestBody": {
         "required": True,
@@ -28,11 +33,15 @@ FRAMES_BODY = {
 PROBLEMS: dict[int | str, dict[str, Any]] = {
     status: {"description": text, "content": {"application/problem+json": {}}}
     for status, text in {
+        401: "the service wants a key",
         404: "no such avatar or garment",
         406: "answers are JSON or octet-stream",
+        408: "the body took too long",
         413: "too many frames or bytes",
         415: "requests are JSON or octet-stream",
         422: "the poses cannot be used; `detail` says why",
+        429: "one client asks for too much; `retry-after` says when to try again",
+        503: "the service is at its limit; `retry-after` says when to try again",
     }.items()
 }
 
@@ -56,6 +65,8 @@ async def post_frames(
 ) -> Response:
     """Garment meshes for a pose sequence: JSON or binary (docs/protocol.md), like the request or as `Accept` asks."""
     settings: Settings = request.app.state.settings
+    metrics: Metrics = request.app.state.metrics
+    hold = hold_of(request)
     found = find_avatar(request, avatar)
     engines = found.select(garment)
     sent = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -65,24 +76,25 @@ async def post_frames(
     packing = frames.Wanted.of(encoding, normals)
     if wanted == JSON_MEDIA_TYPE and packing != frames.Wanted():
         raise Problem(422, f"encoding and normals are for binary answers; ask for {protocol.MEDIA_TYPE} by accept")
-    body = await _read(request, settings.max_body_bytes)
+    body = await hold.read(request)
 
     def work() -> Response:
-        started = time.perf_counter()
-        parsed = frames.parse_json(body, engines) if sent == JSON_MEDIA_TYPE else protocol.decode_request(body)
-        frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))
-        if wanted == JSON_MEDIA_TYPE:
-            _require_few_frames(len(parsed.poses) * found.bundle.fps / parsed.fps, settings)
-        read = time.perf_counter()
-        answered = frames.answer(parsed, engines, found.bundle.fps, packing, found.bundle.joints[0])
-        inferred = time.perf_counter()
-        response = _encode(answered, wanted)
-        encoded = time.perf_counter()
-        stages = {"parse": read - started, "infer": inferred - read, "encode": encoded - inferred}
-        response.headers["server-timing"] = ", ".join(f"{k};dur={1e3 * v:.3f}" for k, v in stages.items())
-        return response
+        stages = Stages(metrics)
+        with stages.time("parse"):
+            parsed = frames.parse_json(body, engines) if sent == JSON_MEDIA_TYPE else protocol.decode_request(body)
+            frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))
+            count = frames.answered_frames(parsed, found.bundle.fps)
+            if wanted == JSON_MEDIA_TYPE:
+                require_few_frames(count, settings)
+            hold.reserve(count * answer_bytes(engines, as_text=wanted == JSON_MEDIA_TYPE))
+        with stages.time("infer"):
+            answered = frames.answer(parsed, engines, found.bundle.fps, packing, found.bundle.joints[0])
+        with stages.time("encode"):
+            parts = [frames.json_answer(answered)] if wanted == JSON_MEDIA_TYPE else protocol.encode_response(answered)
+        metrics.frames.labels(found.id).inc(count)
+        return PartsResponse(parts, wanted, settings.send_seconds, {"server-timing": stages.server_timing})
 
-    return await anyio.to_thread.run_sync(work, limiter=request.app.state.limiter)
+    return await hold.run(work)
 
 
 def _answer_type(accept: str, sent: str) -> str:
@@ -95,26 +107,17 @@ def _answer_type(accept: str, sent: str) -> str:
     raise Problem(406, f"answers are {JSON_MEDIA_TYPE} or {protocol.MEDIA_TYPE}, accept asks for {accept[:100]!r}")
 
 
-async def _read(request: Request, limit: int) -> bytes:
-    """The body, counted as it streams in."""
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > limit:
-            raise Problem(413, f"a request body may have {limit} bytes; send the motion in parts")
-    return bytes(body)
-
-
-def _require_few_frames(frames_answered: float, settings: Settings) -> None:
-    if frames_answered > settings.max_json_frames + 1:
+def require_few_frames(count: int, settings: Settings) -> None:
+    """Raise Problem where so many frames are too many to be answered as JSON."""
+    if count > settings.max_json_frames:
         raise Problem(
             413,
-            f"at most {settings.max_json_frames} frames are answered as JSON, got {frames_answered:.0f}; "
-            f"ask for {protocol.MEDIA_TYPE}, or send fewer",
+            f"at most {settings.max_json_frames} frames are answered as JSON, got {count}; "
+            "ask for a binary answer (octet-stream), or send fewer",
         )
 
 
-def _encode(response: protocol.FramesResponse, media_type: str) -> Response:
-    if media_type == JSON_MEDIA_TYPE:
-        return Response(frames.json_answer(response), media_type=JSON_MEDIA_TYPE)
-    return Response(b"".join(protocol.encode_response(response)), media_type=media_type)
+def answer_bytes(engines: Sequence[GarmentEngine], as_text: bool) -> int:
+    """About how many bytes one frame of an answer takes in memory."""
+    numbers = 3 * sum(engine.vertex_count for engine in engines)
+    return numbers * (TEXT_BYTES if as_text else FLOAT_BYTES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Mapping
 from http import HTTPStatus
 
 from fastapi import FastAPI, Request
@@ -12,44 +12,43 @@ from starlette.exceptions import HTTPException
 
 from caphy.errors import CaphyError
 
-log = logging.getLogger("caphy.service")
-
 
 class Problem(CaphyError):
     """A request that cannot be answered; ``status`` is the HTTP status."""
 
-    def __init__(self, status: int, detail: str) -> None:
+    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None) -> None:
         super().__init__(detail)
         self.status = status
+        self.headers = dict(headers or {})
 
 
-def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> JSONResponse:
-    """The body of an error."""
+def problem_response(
+    status: int, detail: str, headers: Mapping[str, str] | None = None, path: str = "/"
+) -> JSONResponse:
+    """The body of an error; under ``/v2`` the Open Inference Protocol asks for another, and for 400 instead of 422."""
+    if path == "/v2" or path.startswith("/v2/"):
+        return JSONResponse({"error": detail}, 400 if status == 422 else status, headers=headers)
     title = HTTPStatus(status).phrase
     content = {"type": "about:blank", "title": title, "status": status, "detail": detail}
     return JSONResponse(content, status, headers=headers, media_type="application/problem+json")
 
 
 def install(app: FastAPI) -> None:
-    """Answer every error of ``app`` as problem details."""
+    """Answer every error that ``app`` knows as problem details; service/observe.py answers those it does not."""
 
     @app.exception_handler(Problem)
     async def _(request: Request, error: Problem) -> JSONResponse:
-        return problem_response(error.status, str(error))
+        return problem_response(error.status, str(error), error.headers, request.url.path)
 
     @app.exception_handler(CaphyError)
     async def _(request: Request, error: CaphyError) -> JSONResponse:
-        return problem_response(422, str(error))
+        return problem_response(422, str(error), path=request.url.path)
 
     @app.exception_handler(HTTPException)
     async def _(request: Request, error: HTTPException) -> JSONResponse:
-        return problem_response(error.status_code, str(error.detail), dict(error.headers or {}))
+        return problem_response(error.status_code, str(error.detail), error.headers, request.url.path)
 
     @app.exception_handler(RequestValidationError)
     async def _(request: Request, error: RequestValidationError) -> JSONResponse:
-        return problem_response(422, "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()))
-
-    @app.exception_handler(Exception)
-    async def _(request: Request, error: Exception) -> JSONResponse:
-        log.exception("%s %s failed", request.method, request.url.path)
-        return problem_response(500, "the service failed on this request; its log says why")
+        detail = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        return problem_response(422, detail, path=request.url.path)

@@ -1,11 +1,12 @@
-"""What an operator may set, by ``CAPHY_...`` environment variables."""
+"""What an operator may set, by ``CAPHY_...`` environment variables; docs/operation.md explains them."""
 
 from __future__ import annotations
 
+from ipaddress import ip_address
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 import caphy
@@ -22,11 +23,50 @@ class Settings(BaseSettings):
     avatars: Path = Field(BUNDLED_AVATARS, description="folder of avatar bundles, or one bundle")
     host: str = Field("127.0.0.1", description="address to listen on")
     port: int = Field(8000, ge=0, le=65535, description="port to listen on")
+    workers: int = Field(1, ge=1, le=256, description="processes that share the port")
+    api_key: SecretStr | None = Field(None, description="what clients must send as bearer token or x-api-key")
+    allow_anonymous: bool = Field(False, description="answer without a key on addresses beyond this machine")
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level that is logged")
+    reload_seconds: float = Field(2.0, ge=0, description="how often to look for new avatar bundles [s]; 0 is never")
+    drain_seconds: int = Field(30, ge=0, description="how long to finish what is in flight when told to stop [s]")
+
     max_frames: int = Field(1800, ge=1, description="most frames of one request, before and after resampling")
     max_json_frames: int = Field(120, ge=1, description="most frames answered as JSON")
     max_body_bytes: int = Field(8 << 20, ge=1024, description="most bytes of one request body")
+    max_buffered_bytes: int = Field(512 << 20, ge=1024, description="most bytes of requests and answers held at once")
+    max_connections: int = Field(500, ge=1, description="most connections of one process")
+    max_waiting: int = Field(64, ge=0, description="most requests that wait for a thread; more are told to retry")
+    max_wait_seconds: float = Field(2.0, gt=0, description="longest wait for a thread [s]")
+    max_client_requests: int = Field(32, ge=1, description="most requests of one client that are answered at once")
+    max_client_rate: float = Field(2000.0, gt=0, description="most requests of one client per second")
+    header_seconds: float = Field(10.0, gt=0, description="time to send a request's header [s]")
+    body_seconds: float = Field(20.0, gt=0, description="time to send a request's body [s]")
+    send_seconds: float = Field(60.0, gt=0, description="time to take an answer [s]")
+
     chunk_frames: int = Field(8, ge=1, description="frames per run of a network: small chunks stay in cache")
     threads: int = Field(2, ge=1, description="requests computed at the same time")
+
+    @field_validator("api_key")
+    @classmethod
+    def _not_empty(cls, key: SecretStr | None) -> SecretStr | None:
+        if key is not None and not key.get_secret_value().strip():
+            raise ValueError("must not be empty; leave the variable out to have no key")
+        return key
+
+    def require_key_beyond_loopback(self) -> None:
+        """Raise CaphyError where anybody on the network could use the service without a key, and nobody said so."""
+        if self.api_key is None and not self.allow_anonymous and not _is_loopback(self.host):
+            raise CaphyError(
+                f"listening on {self.host} lets others in, so there must be a key: set CAPHY_API_KEY, "
+                "or CAPHY_ALLOW_ANONYMOUS=true where something in front of the service checks who asks"
+            )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def read_settings(**given: Any) -> Settings:
@@ -35,6 +75,6 @@ def read_settings(**given: Any) -> Settings:
         return Settings(**given)
     except ValidationError as error:
         first = error.errors()[0]
-        raise CaphyError(
-            f"CAPHY_{'_'.join(map(str, first['loc'])).upper()}: {first['msg']}, got {first['input']!r}"
-        ) from error
+        name = "_".join(map(str, first["loc"])).upper()
+        shown = "" if name == "API_KEY" else f", got {first['input']!r}"
+        raise CaphyError(f"CAPHY_{name}: {first['msg']}{shown}") from error
