@@ -71,7 +71,8 @@ class Library:
         serving = self.avatars.get(place.name)
         try:
             avatar = load_avatar(place, self._chunk)
-        except CaphyError as error:
+        except Exception as broken:  # whatever is wrong with a file must not end the process that serves the others
+            error = broken if isinstance(broken, CaphyError) else _unforeseen(place, broken)
             kept = f"version {serving.version} serves on" if serving else "it is not served"
             log.error("avatar refused, %s: %s", kept, error, extra={"avatar": place.name})
             self._metrics.avatar_loads.labels(place.name, "refused").inc()
@@ -82,6 +83,11 @@ class Library:
         self._metrics.avatar_loads.labels(place.name, "loaded").inc()
         self._metrics.avatar_bytes.labels(place.name).set(avatar.loaded_bytes)
         return None
+
+
+def _unforeseen(place: Path, error: Exception) -> CaphyError:
+    log.error("loading %s failed", place.name, exc_info=error)
+    return CaphyError(f"{place}: cannot be loaded ({type(error).__name__}: {error}); export the avatar again")
 
 
 def _signature(place: Path) -> Signature:

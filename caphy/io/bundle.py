@@ -14,6 +14,7 @@ import re
 import shutil
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +33,8 @@ MANIFEST: Final = "avatar.json"
 ARRAYS: Final = "arrays.npz"
 INFLUENCES: Final = 4
 """Most joints that move one vertex, as glTF viewers take them."""
+MOST_BYTES: Final = 512 << 20
+"""Of one file of a bundle, packed or not: a garment's is a few million."""
 NAME_PATTERN: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,38}")
 """Names of garments: they become file names and header fields."""
 
@@ -303,7 +306,7 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         raise CaphyError(
             f"{folder}: is no avatar bundle, {MANIFEST} cannot be read ({error.strerror}); write one with caphy export"
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CaphyError(f"{path}: is not JSON ({error}); export it again") from error
     if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
         got = manifest.get("schema") if isinstance(manifest, dict) else type(manifest).__name__
@@ -317,6 +320,9 @@ def _read_hashed(folder: Path, name: str, expected: str) -> bytes:
     if Path(name).name != name:
         raise CaphyError(f"{folder / MANIFEST}: file names must lie in the bundle itself, got {name!r}")
     try:
+        size = (folder / name).stat().st_size
+        if size > MOST_BYTES:
+            raise CaphyError(f"{folder / name}: may have {MOST_BYTES >> 20} MiB, got {size >> 20}; export it again")
         content = (folder / name).read_bytes()
     except OSError as error:
         raise CaphyError(f"{folder / name}: cannot be read ({error.strerror}); copy the whole bundle again") from error
@@ -331,9 +337,13 @@ def _read_hashed(folder: Path, name: str, expected: str) -> bytes:
 
 def _read_arrays(content: bytes, path: Path) -> dict[str, np.ndarray]:
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            size = sum(entry.file_size for entry in packed.infolist())
+        if size > MOST_BYTES:
+            raise CaphyError(f"{path}: may unpack to {MOST_BYTES >> 20} MiB, got {size >> 20}; export the bundle again")
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
+    except (ValueError, OSError, MemoryError, NotImplementedError, EOFError, zlib.error, zipfile.BadZipFile) as error:
         raise CaphyError(f"{path}: must be an npz of plain arrays ({error}); export the bundle again") from error
 
 
