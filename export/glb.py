@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-import caphy
-from caphy.conventions import JOINT_NAMES
-from caphy.io.bundle import AvatarBundle, SkinnedMesh
-from caphy.report.render import CLOTH, SKIN, vertex_normals
+from caphy.io.bundle import AvatarBundle
+from caphy.report.avatar_glb import Morphs, add_mesh, start_avatar
+from caphy.report.gltf import Gltf
+from caphy.report.render import CLOTH, SKIN
 from caphy.rotations import quaternion_from_axis_angle
-from export.gltf import INDICES, VERTEX_DATA, Gltf
 from export.morph import Morph, motion_morph
 
 TOLERANCE = 1e-4
@@ -45,17 +44,15 @@ def animated_glb(
     ``vertices`` are the garments' (T, V, 3) [m], as the service answers them.
     """
     transforms = bundle.transforms(poses, transl)
-    gltf = Gltf(f"caphy {caphy.__version__}")
-    gltf.document["asset"]["copyright"] = bundle.licence
-    skin = _add_skeleton(gltf, bundle)
+    gltf, skin = start_avatar(bundle)
     animation = _Animation(gltf, len(poses), bundle.fps)
     animation.add_joints(poses, transl, bundle.joints[0])
-    roots = [0, _add_mesh(gltf, "body", bundle.body, skin, colour=SKIN)]
+    roots = [0, add_mesh(gltf, "body", bundle.body, skin, colour=SKIN)]
     morphs = {}
     for garment, colour in zip(bundle.garments, CLOTH * len(bundle.garments), strict=False):
         if garment.name in vertices:
             morph = motion_morph(garment.mesh, transforms, vertices[garment.name], tolerance)
-            roots.append(_add_mesh(gltf, garment.name, garment.mesh, skin, colour=colour, morph=morph))
+            roots.append(add_mesh(gltf, garment.name, garment.mesh, skin, colour=colour, morphs=_morphs(morph)))
             animation.add_weights(roots[-1], morph.weights)
             morphs[garment.name] = morph
     animation.finish()
@@ -65,62 +62,15 @@ def animated_glb(
     return AnimatedGlb(gltf.glb(), errors, {name: len(morph.targets) for name, morph in morphs.items()})
 
 
-def _add_skeleton(gltf: Gltf, bundle: AvatarBundle) -> int:
-    """The joints as nodes 0 to 54 at rest, and the skin that binds to them; returns the skin's index."""
-    for joint, name in enumerate(JOINT_NAMES):
-        parent = bundle.parents[joint]
-        at = bundle.joints[joint] - (bundle.joints[parent] if parent >= 0 else 0)
-        node: dict[str, Any] = {"name": name, "translation": at.tolist()}
-        if children := np.flatnonzero(bundle.parents == joint).tolist():
-            node["children"] = children
-        gltf.add("nodes", node)
-    inverse = np.tile(np.eye(4, dtype=np.float32), (len(JOINT_NAMES), 1, 1))
-    inverse[:, :3, 3] = -bundle.joints
-    binding = gltf.accessor(inverse)
-    return gltf.add("skins", {"joints": list(range(len(JOINT_NAMES))), "inverseBindMatrices": binding, "skeleton": 0})
-
-
-def _add_mesh(
-    gltf: Gltf,
-    name: str,
-    mesh: SkinnedMesh,
-    skin: int,
-    *,
-    colour: tuple[float, float, float],
-    morph: Morph | None = None,
-) -> int:
-    """A skinned mesh with its material, and morph targets if any; returns its node's index."""
-    points = mesh.vertices if morph is None else morph.base
-    normals = vertex_normals(mesh.vertices, mesh.faces) if morph is None else morph.base_normals
-    indices = mesh.faces.astype(np.uint16 if len(points) < 65535 else np.uint32).ravel()
-    primitive: dict[str, Any] = {
-        "attributes": {
-            **_points(gltf, points, normals),
-            "JOINTS_0": gltf.accessor(mesh.joint_index, VERTEX_DATA),
-            "WEIGHTS_0": gltf.accessor(mesh.joint_weight, VERTEX_DATA),
-        },
-        "indices": gltf.accessor(indices, INDICES),
-        "material": _add_material(gltf, name, colour),
-    }
-    entry: dict[str, Any] = {"name": name, "primitives": [primitive]}
-    if morph is not None and len(morph.targets):
-        primitive["targets"] = [_points(gltf, *pair) for pair in zip(morph.targets, morph.target_normals, strict=True)]
-        entry["weights"] = morph.weights[0].astype(np.float32).tolist()
-        entry["extras"] = {"worst_vertex_error_mm": round(1e3 * morph.error, 4)}
-    return gltf.add("nodes", {"name": name, "mesh": gltf.add("meshes", entry), "skin": skin})
-
-
-def _points(gltf: Gltf, points: np.ndarray, normals: np.ndarray) -> dict[str, int]:
-    return {
-        "POSITION": gltf.accessor(points.astype(np.float32), VERTEX_DATA, bounds=True),
-        "NORMAL": gltf.accessor(normals.astype(np.float32), VERTEX_DATA),
-    }
-
-
-def _add_material(gltf: Gltf, name: str, colour: tuple[float, float, float]) -> int:
-    linear = [round(c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4, 4) for c in colour]
-    surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
-    return gltf.add("materials", {"name": name, "pbrMetallicRoughness": surface, "doubleSided": True})
+def _morphs(morph: Morph) -> Morphs:
+    return Morphs(
+        base=morph.base,
+        base_normals=morph.base_normals,
+        targets=morph.targets,
+        target_normals=morph.target_normals,
+        weights=morph.weights[0],
+        extras={"worst_vertex_error_mm": round(1e3 * morph.error, 4)},
+    )
 
 
 class _Animation:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from caphy.io.bundle import AvatarBundle, SkinnedMesh
+from caphy.report.avatar_glb import avatar_glb
 
 GLB_MEDIA_TYPE = "model/gltf-binary"
+_WITH_MORPHS: WeakKeyDictionary[AvatarBundle, bytes] = WeakKeyDictionary()
 
 
 def _meshes(bundle: AvatarBundle) -> dict[str, SkinnedMesh]:
@@ -29,11 +32,14 @@ def mesh_json(bundle: AvatarBundle) -> dict[str, Any]:
     }
 
 
-def mesh_glb(bundle: AvatarBundle) -> bytes:
-    """The same as one static GLB with a node per mesh."""
-    import trimesh  # here, because it pulls in whatever optional package it finds
+def mesh_glb(bundle: AvatarBundle, morph: bool = False) -> bytes:
+    """The same as one GLB: a skeleton, and a skinned node per mesh.
 
-    scene = trimesh.Scene()
-    for name, mesh in _meshes(bundle).items():
-        scene.add_geometry(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), node_name=name, geom_name=name)
-    return cast(bytes, scene.export(file_type="glb"))
+    With ``morph`` the garments have their network's blend shapes as morph targets, and the file states their error;
+    made once for each bundle, because that takes a second.
+    """
+    if not morph:
+        return avatar_glb(bundle, tolerance=None)
+    if bundle not in _WITH_MORPHS:
+        _WITH_MORPHS[bundle] = avatar_glb(bundle)
+    return _WITH_MORPHS[bundle]

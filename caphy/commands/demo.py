@@ -65,7 +65,8 @@ def main(arguments: list[str]) -> None:
     print(f"  {'whole motion at once':28}{inference:12.2f}{whole:12.2f}")
     print(f"  {'one frame at a time, median':28}{single[0]:12.2f}{single[1]:12.2f}")
     _write(command.out, bundle, motion, vertices)
-    print("\nnext: 'caphy serve', then http://127.0.0.1:8000/docs; README.md for your own poses, garments and training")
+    print(f"\nnext: 'caphy serve', then http://127.0.0.1:8000/ shows it moving, /docs the API; 'caphy export {folder}'")
+    print("with --format glb, usd, pc2 or obj for other programs; README.md for your own poses, garments and training")
 
 
 def _motion(command: Demo, fps: float) -> PoseSequence:

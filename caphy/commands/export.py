@@ -1,10 +1,10 @@
-"""``caphy export``: trained garments become an avatar bundle."""
+"""``caphy export``: trained garments become an avatar bundle; a bundle becomes files for other programs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -14,17 +14,27 @@ from caphy.errors import CaphyError
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
     from caphy.io.poses import PoseSequence
+    from export.motion import DressedMotion
     from export.runs import Run
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write an avatar bundle: one ONNX graph per trained garment, checked against its network, and the body."""
+    """Write an avatar bundle: one ONNX graph per trained garment, checked against its network, and the body.
+
+    With --format, write an avatar bundle that exists for other programs: at rest, or dressed on a motion.
+    """
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Folders that 'caphy train' wrote, one per garment, innermost garment first."""
+    """Folders that 'caphy train' wrote, one per garment, innermost garment first; with --format, one avatar bundle."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The bundle to write, a folder."""
+    """The bundle to write, a folder; with --format, a file ending in .glb or .usdc, or a folder for pc2 and obj."""
+    format: Literal["bundle", "glb", "usd", "pc2", "obj"] = "bundle"
+    """What to write. glb without --poses is the avatar itself: skin, and the networks' blend shapes as morph targets."""
+    poses: Path | None = None
+    """With --format: the motion to write, in any format caphy reads."""
+    within_mm: float = 0.2
+    """With --format glb and no --poses: as few blend shapes as keep vertices so near those of all of them [mm]."""
     motions: tuple[Path, ...] = ()
     """Pose files to fit the head on and, every third, to state its error on; those held out of training by default."""
     body: Path | None = None
@@ -36,7 +46,62 @@ class Export:
 def main(arguments: list[str]) -> None:
     """Run ``caphy export`` with the arguments after it."""
     command = tyro.cli(Export, prog="caphy export", args=arguments)
+    if command.format == "bundle":
+        _export_runs(command)
+    else:
+        _export_bundle(command)
 
+
+def _export_bundle(command: Export) -> None:
+    from caphy.io.bundle import read_bundle
+    from caphy.report.avatar_glb import avatar_glb
+    from export.motion import write_whole
+
+    if len(command.runs) != 1:
+        raise CaphyError(f"--format {command.format} takes one avatar bundle, got {len(command.runs)} folders")
+    if command.format == "glb" and command.out.suffix != ".glb":
+        raise CaphyError(f"{command.out}: a GLB file's name must end in .glb")
+    bundle = read_bundle(command.runs[0])
+    if command.poses is None:
+        if command.format != "glb":
+            raise CaphyError(f"--format {command.format} writes a motion; give one with --poses FILE")
+        if not command.within_mm >= 0:
+            raise CaphyError(f"--within-mm must not be negative, got {command.within_mm}")
+        content = avatar_glb(bundle, 1e-3 * command.within_mm)
+        write_whole(command.out, content)
+        print(f"{command.out}: the avatar with its blend shapes, {len(content) / 1e6:.1f} MB")
+        return
+    from caphy.io.poses import read_poses
+    from export.motion import dressed_motion
+
+    motion = dressed_motion(bundle, read_poses(command.poses))
+    print(f"{command.out}: {_write_motion(command, motion)}, {len(motion)} frames at {bundle.fps:g} fps")
+
+
+def _write_motion(command: Export, motion: DressedMotion) -> str:
+    """Write the motion; returns what was written, in words."""
+    if command.format == "glb":
+        from export.glb import animated_glb
+        from export.motion import write_whole
+
+        made = animated_glb(motion.bundle, motion.poses, motion.transl, motion.vertices)
+        write_whole(command.out, made.content)
+        return f"animated GLB, vertices within {1e3 * max(made.errors.values()):.2f} mm of the service's"
+    if command.format == "usd":
+        from export.usd import write_usd
+
+        write_usd(motion, command.out)
+        return "USD with time samples"
+    if command.format == "pc2":
+        from export.pc2 import write_pc2
+
+        return f"{len(write_pc2(motion, command.out))} files, an OBJ and a PC2 point cache per mesh"
+    from export.obj import write_obj_sequence
+
+    return f"{len(write_obj_sequence(motion, command.out))} OBJ files"
+
+
+def _export_runs(command: Export) -> None:
     import caphy
     from caphy.body.bundled import default_body
     from caphy.body.model import BodyModel

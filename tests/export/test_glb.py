@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from caphy.report.gltf import Gltf
 from export.glb import animated_glb
-from export.gltf import Gltf
 
 COMPONENTS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}

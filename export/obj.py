@@ -1,0 +1,30 @@
+"""Wavefront OBJ: one file per mesh and frame, for programs that read nothing else.
+
+Format: Wavefront, "Appendix B1. Object Files (.obj)", Advanced Visualizer Manual. Metres, y up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from export.motion import DressedMotion, write_whole
+
+
+def obj_bytes(name: str, vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """One mesh: vertices (V, 3) [m] to a micrometre, faces (F, 3)."""
+    points = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices.tolist()]
+    corners = [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    return "\n".join([f"o {name}", *points, *corners, ""]).encode("ascii")
+
+
+def write_obj_sequence(motion: DressedMotion, folder: Path) -> list[Path]:
+    """``body_0000.obj`` and so on, one file per mesh and frame; returns them."""
+    digits = max(4, len(str(len(motion) - 1)))
+    written = []
+    for name, mesh, vertices in motion.meshes():
+        for frame, points in enumerate(vertices):
+            written.append(folder / f"{name}_{frame:0{digits}}.obj")
+            write_whole(written[-1], obj_bytes(name, points, mesh.faces))
+    return written

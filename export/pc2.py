@@ -1,0 +1,34 @@
+"""PC2 point caches: the vertices of a mesh over time, for Blender's Mesh Cache modifier, 3ds Max and Houdini.
+
+Layout, little-endian: "POINTCACHE2\\0", version 1 (int32), points (int32), first frame (float32), frames per sample
+(float32), samples (int32), then float32 x y z per point and sample. Metres, y up.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from export.motion import DressedMotion, write_whole
+from export.obj import obj_bytes
+
+HEADER = struct.Struct("<12siiffi")
+
+
+def pc2_bytes(vertices: np.ndarray) -> bytes:
+    """The point cache of vertices (T, V, 3) [m]; its frame 0 is the first."""
+    frames, count, _ = vertices.shape
+    header = HEADER.pack(b"POINTCACHE2\0", 1, count, 0.0, 1.0, frames)
+    return header + np.ascontiguousarray(vertices, "<f4").tobytes()
+
+
+def write_pc2(motion: DressedMotion, folder: Path) -> list[Path]:
+    """Per mesh ``NAME.obj``, its first frame, and ``NAME.pc2``, the cache to put on it; returns them."""
+    written = []
+    for name, mesh, vertices in motion.meshes():
+        written += [folder / f"{name}.obj", folder / f"{name}.pc2"]
+        write_whole(written[-2], obj_bytes(name, vertices[0], mesh.faces))
+        write_whole(written[-1], pc2_bytes(vertices))
+    return written

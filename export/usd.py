@@ -1,0 +1,84 @@
+"""USD with time samples: a mesh per garment and one for the body, points at every frame.
+
+Needs the ``usd-core`` package (pip install 'caphy[usd]').
+"""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.io.bundle import SkinnedMesh
+from caphy.report.render import CLOTH, SKIN
+from export.motion import DressedMotion
+
+SUFFIXES = (".usdc", ".usda", ".usd")
+
+
+def write_usd(motion: DressedMotion, path: Path) -> Path:
+    """Write a stage with metres, y up, and the avatar's frame rate as its time codes; whole or not at all.
+
+    Raises CaphyError where usd-core is not installed, or the name does not end in .usdc, .usda or .usd.
+    """
+    Usd, UsdGeom = _pxr()
+    if path.suffix not in SUFFIXES:
+        raise CaphyError(f"{path}: a USD file's name must end in {', '.join(SUFFIXES)}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    partial.unlink(missing_ok=True)
+    try:
+        stage = Usd.Stage.CreateNew(str(partial))
+        _describe(stage, motion, UsdGeom)
+        colours = [SKIN, *(CLOTH * len(motion.bundle.garments))]
+        for (name, mesh, vertices), colour in zip(motion.meshes(), colours, strict=False):
+            _add_mesh(stage, name, mesh, vertices, colour)
+        stage.GetRootLayer().Save()
+        del stage
+        partial.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+    return path
+
+
+def _pxr() -> tuple[Any, Any]:
+    try:
+        from pxr import Usd, UsdGeom
+    except ModuleNotFoundError:
+        raise CaphyError("USD needs the usd-core package; install it with: pip install 'caphy[usd]'") from None
+    return Usd, UsdGeom
+
+
+def _describe(stage: Any, motion: DressedMotion, geometry: Any) -> None:
+    geometry.SetStageUpAxis(stage, geometry.Tokens.y)
+    geometry.SetStageMetersPerUnit(stage, 1.0)
+    fps = motion.bundle.fps
+    stage.SetTimeCodesPerSecond(fps)
+    stage.SetFramesPerSecond(fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(len(motion) - 1)
+    root = geometry.Xform.Define(stage, "/avatar")
+    stage.SetDefaultPrim(root.GetPrim())
+    stage.GetRootLayer().documentation = f"{motion.bundle.name}; {motion.bundle.licence}"
+
+
+def _add_mesh(stage: Any, name: str, mesh: SkinnedMesh, vertices: np.ndarray, colour: Any) -> None:
+    from pxr import Gf, Tf, UsdGeom, Vt
+
+    place = f"/avatar/{Tf.MakeValidIdentifier(name)}"
+    while stage.GetPrimAtPath(place):  # a-b and a_b are one identifier
+        place += "_"
+    prim = UsdGeom.Mesh.Define(stage, place)
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim.CreateDoubleSidedAttr(True)
+    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.ravel(), np.int32)))
+    prim.CreateDisplayColorAttr([Gf.Vec3f(*(float(c) for c in colour))])
+    points, extent = prim.CreatePointsAttr(), prim.CreateExtentAttr()
+    for frame, posed in enumerate(vertices):
+        points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(posed, np.float32)), frame)
+        extent.Set([Gf.Vec3f(*posed.min(axis=0).tolist()), Gf.Vec3f(*posed.max(axis=0).tolist())], frame)
