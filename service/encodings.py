@@ -110,10 +110,11 @@ class _Reader:
     def take(self, dtype: str, *shape: int) -> np.ndarray:
         count = int(np.prod(shape, dtype=np.int64))
         size = count * np.dtype(dtype).itemsize
-        if self.offset + size > len(self.body):
-            raise ValueError(f"{self.offset + size} bytes are needed, {len(self.body)} are there")
+        end = self.offset + size + -size % 4
+        if end > len(self.body):
+            raise ValueError(f"{end} bytes are needed, {len(self.body)} are there")
         array = np.frombuffer(self.body, dtype, count, self.offset).reshape(shape)
-        self.offset += size + -size % 4
+        self.offset = end
         return array
 
 
