@@ -1,0 +1,242 @@
+"""A stream's client: poses in, meshes out, and a new connection with the old state where one breaks.
+
+with StreamClient("http://127.0.0.1:8000", "default", encoding="uint16") as stream:
+    stream.send(poses, transl)          # (55, 3) and (3,), or a few frames of them
+    answer = stream.receive()           # answer.meshes.vertices["tshirt"]: (T, V, 3)
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from urllib.parse import quote, urlsplit, urlunsplit
+
+import numpy as np
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.sync.client import ClientConnection, connect
+
+from caphy.errors import CaphyError
+from service.encodings import Encoding, EncodingName
+from service.stream.messages import (
+    Credit,
+    Dressed,
+    Failure,
+    GetState,
+    Hello,
+    Poses,
+    Rate,
+    Reset,
+    ServerDecoder,
+    ServerMessage,
+    State,
+    Welcome,
+    encode_client,
+)
+
+SAVE_EVERY = 30
+"""Messages of poses between two requests for the state."""
+FINAL = {4400, 4404, 4409, 4413, 4422, 1008}
+"""Close codes after which the same again would fail again."""
+
+
+class StreamRefused(CaphyError):
+    """The service said no; ``code`` is HTTP's for the reason."""
+
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(f"{text} ({code})")
+        self.code = code
+
+
+class StreamClient:
+    """One stream; not for several threads at once.
+
+    A connection that breaks is made again for up to ``patience`` seconds, to the same address, with the last state
+    that the service told and all poses sent since; meshes received already are not given twice. The state is asked
+    for by itself once in a while.
+
+    Raises StreamRefused where the service refuses, CaphyError where it cannot be reached.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        avatar: str,
+        garments: Sequence[str] = (),
+        *,
+        encoding: EncodingName = "float32",
+        normals: bool = False,
+        fps: float = 30.0,
+        credits: int = 2,
+        state: np.ndarray | None = None,
+        key: str | None = None,
+        patience: float = 10.0,
+    ) -> None:
+        self._address = _address(url, avatar)
+        self._headers = {"authorization": f"Bearer {key}"} if key else None
+        self._hello = Hello(tuple(garments), fps, Encoding[encoding.upper()], normals, credits)
+        self._state = np.zeros(0, np.float32) if state is None else np.asarray(state, np.float32)
+        self._fps, self._patience = fps, patience
+        self._number = self._received = self._settled = -1
+        self._unsaved: deque[Poses] = deque()
+        self._since_saved = 0
+        self._messages: deque[ServerMessage] = deque()
+        self.skipped = 0
+        """Messages of poses that were lived but not answered, because newer ones came before there was a credit."""
+        self.reconnections = 0
+        self._welcome: Welcome
+        self._socket = self._connect()
+
+    @property
+    def welcome(self) -> Welcome:
+        """Garments, the avatar's frame rate, and limits."""
+        return self._welcome
+
+    def send(self, poses: np.ndarray, transl: np.ndarray) -> int:
+        """Send poses (55, 3) or (T, 55, 3) [rad] and transl (3,) or (T, 3) [m]; returns the last one's number."""
+        poses, transl = (np.array(array, np.float32) for array in (poses, transl))
+        poses, transl = poses.reshape(-1, *poses.shape[-2:]), transl.reshape(-1, 3)
+        if poses.shape[1:] != (55, 3) or len(transl) != len(poses):
+            raise CaphyError(
+                f"poses must have shape (frames, 55, 3), transl (frames, 3), got {poses.shape}, {transl.shape}"
+            )
+        message = Poses(self._number + 1, time.monotonic(), poses, transl)
+        self._number += len(poses)
+        self._unsaved.append(message)
+        self._since_saved += 1
+        self._send(encode_client(message))
+        if self._since_saved >= SAVE_EVERY:
+            self._since_saved = 0
+            self._send(encode_client(GetState()))
+        return self._number
+
+    def receive(self, timeout: float | None = 10.0) -> Dressed:
+        """The next answer; a credit goes back with it. Raises CaphyError after ``timeout`` seconds without one, and
+        StreamRefused where a message of poses was refused; the stream goes on after that."""
+        while True:
+            message = self._next(timeout)
+            if isinstance(message, Dressed):
+                self._send(encode_client(Credit(1)))
+                if message.number > self._received:
+                    self._received = message.number
+                    return message
+            elif isinstance(message, Failure):
+                self._unsaved = deque(sent for sent in self._unsaved if sent.number != message.number)
+                raise StreamRefused(message.code, message.text)
+
+    def state(self, timeout: float | None = 10.0) -> dict[str, np.ndarray]:
+        """The state (S,) of every garment after all poses sent so far."""
+        self._send(encode_client(GetState()))
+        kept = []
+        while self._settled < self._number or not self._state.size:
+            message = self._next(timeout)
+            if not isinstance(message, State):
+                kept.append(message)
+        self._messages.extendleft(reversed(kept))
+        ends = np.cumsum([garment.state_size for garment in self._welcome.garments])[:-1]
+        parts = np.split(self._state, ends)
+        return {garment.name: part for garment, part in zip(self._welcome.garments, parts, strict=True)}
+
+    def reset(self) -> None:
+        """The next pose starts a new motion."""
+        self._unsaved.clear()
+        self._state = np.zeros(0, np.float32)
+        self._settled = self._number
+        self._send(encode_client(Reset()))
+
+    def set_fps(self, fps: float) -> None:
+        """The poses from here on come at ``fps`` [Hz]."""
+        self._fps = fps
+        self._send(encode_client(Rate(fps)))
+
+    def close(self) -> None:
+        """End the stream."""
+        self._socket.close()
+
+    def __enter__(self) -> StreamClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _next(self, timeout: float | None) -> ServerMessage:
+        if self._messages:
+            return self._messages.popleft()
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                left = None if deadline is None else max(0.0, deadline - time.monotonic())
+                body = self._socket.recv(timeout=left)
+            except TimeoutError:
+                raise CaphyError(f"the service did not answer within {timeout:g} s") from None
+            except ConnectionClosed as closed:
+                self._reconnect(closed)
+                continue
+            return self._noted(self._decoder.decode(body if isinstance(body, bytes) else body.encode()))
+
+    def _noted(self, message: ServerMessage) -> ServerMessage:
+        if isinstance(message, State):
+            self._state, self._settled = message.state, message.number
+            while self._unsaved and self._unsaved[0].number + len(self._unsaved[0].poses) - 1 <= message.number:
+                self._unsaved.popleft()
+        if isinstance(message, Dressed):
+            self.skipped = message.skipped
+        return message
+
+    def _send(self, body: bytes) -> None:
+        try:
+            self._socket.send(body)
+        except ConnectionClosed as closed:
+            self._reconnect(closed)
+
+    def _reconnect(self, closed: ConnectionClosed) -> None:
+        if closed.rcvd is not None and closed.rcvd.code in FINAL:
+            raise StreamRefused(closed.rcvd.code - 4000 if closed.rcvd.code >= 4000 else 403, closed.rcvd.reason)
+        self.reconnections += 1
+        self._socket = self._connect()
+        for message in self._unsaved:
+            self._socket.send(encode_client(message))
+
+    def _connect(self) -> ClientConnection:
+        """A connection on which hello was said with the state there is."""
+        hello = Hello(
+            self._hello.garments, self._fps, self._hello.encoding, self._hello.normals, self._hello.credits, self._state
+        )
+        end, wait = time.monotonic() + self._patience, 0.05
+        while True:
+            try:
+                socket = connect(self._address, compression=None, additional_headers=self._headers, max_size=None)
+                socket.send(encode_client(hello))
+                self._decoder = ServerDecoder(hello.encoding, hello.normals)
+                message = self._decoder.decode(socket.recv(timeout=10, decode=False))
+                if isinstance(message, Failure):
+                    raise StreamRefused(message.code, message.text)
+                if not isinstance(message, Welcome):
+                    raise CaphyError("the service must say welcome first")
+                self._welcome = message
+                return socket
+            except StreamRefused as refused:
+                if refused.code not in (429, 503) or time.monotonic() > end:
+                    raise
+            except (OSError, ConnectionClosed, InvalidHandshake, TimeoutError) as error:
+                if time.monotonic() > end or _is_denied(error):
+                    raise CaphyError(
+                        f"{self._address}: no stream ({error}); is 'caphy serve' running there?"
+                    ) from error
+            time.sleep(wait)
+            wait = min(1.0, 2 * wait)
+
+
+def _is_denied(error: Exception) -> bool:
+    """Whether the service answered that this caller may not open a stream here."""
+    status = getattr(getattr(error, "response", None), "status_code", 0)
+    return status in (401, 403, 404)
+
+
+def _address(url: str, avatar: str) -> str:
+    parts = urlsplit(url)
+    scheme = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}.get(parts.scheme)
+    if scheme is None or not parts.hostname:
+        raise CaphyError(f"a service's address is like http://127.0.0.1:8000, got {url!r}")
+    path = f"{parts.path.rstrip('/')}/avatars/{quote(avatar, safe='')}/stream"
+    return urlunsplit((scheme, parts.netloc, path, "", ""))
