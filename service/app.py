@@ -22,8 +22,8 @@ from service.openinference.routes import add_open_inference
 from service.settings import Settings, read_settings
 from service.stream.routes import add_stream
 
-PUBLIC = ()
-"""Paths that need no key: a page and its files, which hold nothing of the avatars. Folders end with a slash."""
+PUBLIC = ("/", "/viewer/")
+"""Paths that need no key: the viewer's page and its files, which hold nothing of the avatars. Folders end with a slash."""
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:

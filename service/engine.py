@@ -9,7 +9,10 @@ import onnxruntime
 
 from caphy.conventions import JOINT_COUNT
 from caphy.errors import CaphyError
+from caphy.io.blend_shapes import blend_shapes
 from caphy.io.bundle import BundledGarment
+from caphy.io.onnx_wire import with_output
+from service.normals import VertexNormals
 
 
 class GarmentEngine:
@@ -23,12 +26,15 @@ class GarmentEngine:
         self.name = garment.name
         self.state_size = garment.state_size
         self.vertex_count = len(garment.mesh.vertices)
+        self.normals = VertexNormals(garment.mesh.faces, self.vertex_count)
         self._chunk = chunk
-        self._session = _session(garment)
+        self._weights = blend_shapes(garment).tensor
+        self._session = _session(garment, self._weights)
         self._require_interface()
         rest = np.zeros((2 * chunk, JOINT_COUNT, 3), np.float32), np.zeros((2 * chunk, 3), np.float32)
         if not np.isfinite(self.run(*rest, self.initial_state())[0]).all():  # also warms every buffer up
             raise CaphyError(f"garment {self.name!r}: the rest pose gives vertices that are not finite")
+        self.weight_count = self.blend(*rest, self.initial_state())[0].shape[1]
 
     def initial_state(self) -> np.ndarray:
         """The state (S,) before the first frame."""
@@ -38,12 +44,23 @@ class GarmentEngine:
         """Vertices (T, V, 3) [m] of poses (T, 55, 3) [rad] and transl (T, 3) [m] after ``state``, and the state after
         them; all float32."""
         vertices = np.empty((len(poses), self.vertex_count, 3), np.float32)
-        for start in range(0, len(poses), self._chunk):
-            part = slice(start, start + self._chunk)
-            inputs = {"poses": poses[part], "transl": transl[part], "state": state}
-            outputs = self._session.run(("vertices", "next_state"), inputs)
+        for part, inputs in self._parts(poses, transl):
+            outputs = self._session.run(("vertices", "next_state"), {**inputs, "state": state})
             vertices[part], state = cast(list[np.ndarray], outputs)
         return vertices, state
+
+    def blend(self, poses: np.ndarray, transl: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As :meth:`run`, with the weights (T, R) of the garment's blend shapes in the place of its vertices."""
+        found = []
+        for _, inputs in self._parts(poses, transl):
+            outputs = self._session.run((self._weights, "next_state"), {**inputs, "state": state})
+            weights, state = cast(list[np.ndarray], outputs)
+            found.append(weights)
+        return np.concatenate(found), state
+
+    def _parts(self, poses: np.ndarray, transl: np.ndarray) -> list[tuple[slice, dict[str, np.ndarray]]]:
+        parts = [slice(start, start + self._chunk) for start in range(0, len(poses), self._chunk)]
+        return [(part, {"poses": poses[part], "transl": transl[part]}) for part in parts]
 
     def _require_interface(self) -> None:
         expected = {
@@ -54,6 +71,7 @@ class GarmentEngine:
             "next_state": [self.state_size],
         }
         tensors = [*self._session.get_inputs(), *self._session.get_outputs()]
+        tensors = [t for t in tensors if t.name != self._weights]
         found = {t.name: t.shape if t.name.endswith("state") else t.shape[1:] for t in tensors}
         if found != expected or any(t.type != "tensor(float)" for t in tensors):
             raise CaphyError(
@@ -62,13 +80,14 @@ class GarmentEngine:
             )
 
 
-def _session(garment: BundledGarment) -> onnxruntime.InferenceSession:
+def _session(garment: BundledGarment, weights: str) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
     try:
-        return onnxruntime.InferenceSession(garment.onnx, options, providers=["CPUExecutionProvider"])
+        content = with_output(garment.onnx, weights)
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises classes of its own, not exported
         raise CaphyError(
             f"garment {garment.name!r}: onnxruntime cannot load its graph ({error}); export the avatar again"
