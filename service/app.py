@@ -21,9 +21,10 @@ from service.observe import Observed
 from service.openinference.routes import add_open_inference
 from service.settings import Settings, read_settings
 from service.stream.routes import add_stream
+from service.viewer.routes import add_viewer
 
 PUBLIC = ("/", "/viewer/")
-"""Paths that need no key: the viewer's page and its files, which hold nothing of the avatars. Folders end with a slash."""
+"""Paths that need no key: the viewer's page and its files, which hold nothing of avatars. Folders end with a slash."""
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
@@ -57,6 +58,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     add_stream(app)
     add_open_inference(app)
     add_metrics(app, metrics)
+    add_viewer(app)
     _add_middleware(app, settings)
     return app
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal
 
-from fastapi import FastAPI, Path, Request, Response
+from fastapi import FastAPI, Path, Query, Request, Response
 from fastapi.requests import HTTPConnection
 
 from caphy.io.bundle import AvatarBundle
@@ -54,11 +54,17 @@ def add_avatars(app: FastAPI) -> None:
         responses={200: {"content": {"application/json": {}, mesh.GLB_MEDIA_TYPE: {}}}, **NOT_FOUND},
         response_class=Response,
     )
-    def static_mesh(request: Request, avatar: AvatarId, format: Literal["json", "glb"] = "json") -> Response:
-        """Body and garments in T-pose: vertices, faces and regions as JSON, or a GLB."""
+    def static_mesh(
+        request: Request,
+        avatar: AvatarId,
+        format: Literal["json", "glb"] = "json",
+        morph: Annotated[bool, Query(description="the GLB has the garments' blend shapes as morph targets")] = False,
+    ) -> Response:
+        """Body and garments in T-pose: vertices, faces and regions as JSON, or a GLB with a skin."""
         found = find_avatar(request, avatar)
         if format == "glb":
-            return Response(found.once("glb", mesh.mesh_glb), media_type=mesh.GLB_MEDIA_TYPE)
+            glb = found.once("morph", mesh.morph_glb) if morph else found.once("glb", mesh.mesh_glb)
+            return Response(glb, media_type=mesh.GLB_MEDIA_TYPE)
         return Response(found.once("json", _mesh_json), media_type="application/json")
 
 

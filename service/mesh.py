@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from caphy.io.bundle import AvatarBundle, SkinnedMesh
 from caphy.report.avatar_glb import avatar_glb
 
 GLB_MEDIA_TYPE = "model/gltf-binary"
-_WITH_MORPHS: WeakKeyDictionary[AvatarBundle, bytes] = WeakKeyDictionary()
 
 
 def _meshes(bundle: AvatarBundle) -> dict[str, SkinnedMesh]:
@@ -32,14 +30,14 @@ def mesh_json(bundle: AvatarBundle) -> dict[str, Any]:
     }
 
 
-def mesh_glb(bundle: AvatarBundle, morph: bool = False) -> bytes:
-    """The same as one GLB: a skeleton, and a skinned node per mesh.
+def mesh_glb(bundle: AvatarBundle) -> bytes:
+    """The same as one GLB: a skeleton, and a skinned node per mesh."""
+    return avatar_glb(bundle, tolerance=None)
 
-    With ``morph`` the garments have their network's blend shapes as morph targets, and the file states their error;
-    made once for each bundle, because that takes a second.
+
+def morph_glb(bundle: AvatarBundle) -> bytes:
+    """The same with each garment's blend shapes as morph targets, for clients that take their weights; takes seconds.
+
+    The file states the error of leaving the smallest out.
     """
-    if not morph:
-        return avatar_glb(bundle, tolerance=None)
-    if bundle not in _WITH_MORPHS:
-        _WITH_MORPHS[bundle] = avatar_glb(bundle)
-    return _WITH_MORPHS[bundle]
+    return avatar_glb(bundle)

@@ -30,7 +30,7 @@ class Export:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The bundle to write, a folder; with --format, a file ending in .glb or .usdc, or a folder for pc2 and obj."""
     format: Literal["bundle", "glb", "usd", "pc2", "obj"] = "bundle"
-    """What to write. glb without --poses is the avatar itself: skin, and the networks' blend shapes as morph targets."""
+    """What to write. glb without --poses is the avatar itself, with the networks' blend shapes as morph targets."""
     poses: Path | None = None
     """With --format: the motion to write, in any format caphy reads."""
     within_mm: float = 0.2

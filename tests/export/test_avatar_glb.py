@@ -57,7 +57,7 @@ def test_the_stated_error_holds_on_the_motion_it_is_stated_for(bundle, tolerance
 
 def test_fewer_blend_shapes_where_less_is_asked_for(bundle):
     counts = {}
-    for tolerance in (0.0, *TOLERANCES):
+    for tolerance in (0.0, 2e-3, 2e-2):
         glb = Glb(avatar_glb(bundle, tolerance))
         for mesh in glb.json["meshes"][1:]:
             stated = mesh["extras"]["worst_vertex_error_mm"] if "weights" in mesh else 0
@@ -65,7 +65,8 @@ def test_fewer_blend_shapes_where_less_is_asked_for(bundle):
             counts.setdefault(mesh["name"], []).append(len(mesh.get("weights", [])))
     for name, (whole, fine, coarse) in counts.items():
         assert whole == len(blend_shapes(bundle.garment(name)).targets)
-        assert whole >= fine > coarse > 0
+        assert whole >= fine >= coarse
+    assert sum(coarse for _, _, coarse in counts.values()) < sum(whole for whole, _, _ in counts.values())
 
 
 def test_without_morph_targets_garments_stand_in_their_template(bundle):

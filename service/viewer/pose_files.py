@@ -1,0 +1,82 @@
+"""Pose files that strangers upload: read by caphy's own readers, never unpickled, never larger than said."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.io.bundle import AvatarBundle
+from caphy.io.poses import PoseSequence, placed_on, read_poses
+from service.problem import Problem
+from service.protocol import FramesRequest, encode_request
+
+SUFFIXES: Final = (".npz", ".bvh")
+"""Formats without code in them; .pkl and .pt may run code when read, so they are converted offline."""
+MAX_UNPACKED_BYTES: Final = 128 << 20
+MAX_SECONDS: Final = 300.0
+NOTES_HEADER: Final = "caphy-notes"
+SOURCE_HEADER: Final = "caphy-source"
+
+
+def read_upload(name: str, content: bytes, bundle: AvatarBundle, fps: float | None = None) -> PoseSequence:
+    """The motion in an uploaded file, on the avatar's body and ground, at its frame rate.
+
+    ``name`` tells the format by its ending; ``fps`` [Hz] is the true frame rate where the file does not say. Raises
+    Problem: 413 for what is too long or unpacks to too much, 415 for other formats, 422 for what cannot be read.
+    """
+    suffix = Path(name).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise Problem(
+            415,
+            f"pose files here end in {' or '.join(SUFFIXES)}, got {suffix[:16]!r}; convert others on your own machine "
+            "with 'caphy poses convert', because files of Python objects may hold code",
+        )
+    if suffix == ".npz":
+        _require_small(content)
+    with tempfile.TemporaryDirectory(prefix="caphy-") as folder:
+        path = Path(folder) / f"upload{suffix}"
+        path.write_bytes(content)
+        sequence = _read(path, name, fps)
+    if sequence.frame == "camera":
+        raise Problem(422, f"{name}: these poses are in a camera's frame; convert them to world coordinates first")
+    if sequence.duration > MAX_SECONDS:
+        raise Problem(413, f"{name}: a motion here may last {MAX_SECONDS:g} s, got {sequence.duration:.0f} s; cut it")
+    sole = float(bundle.body.vertices[:, 1].min())
+    return placed_on(sequence.to_y_up(), bundle.joints, sole).resample(bundle.fps)
+
+
+def frames_request(sequence: PoseSequence) -> tuple[bytes, dict[str, str]]:
+    """The motion as the body of a frames request (docs/protocol.md), and headers that say where it is from."""
+    body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, np.zeros(0)))
+    headers = {SOURCE_HEADER: json.dumps(sequence.source), NOTES_HEADER: json.dumps(list(sequence.notes))}
+    return body, headers
+
+
+def _require_small(content: bytes) -> None:
+    """Refuse archives whose members claim to unpack to more than is allowed; zipfile holds them to their claims."""
+    try:
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+    except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+        raise Problem(422, f"not a readable .npz archive, perhaps cut short: {error}") from error
+    if size > MAX_UNPACKED_BYTES:
+        raise Problem(413, f"an archive may unpack to {MAX_UNPACKED_BYTES} bytes, this one says {size}")
+
+
+def _read(path: Path, name: str, fps: float | None) -> PoseSequence:
+    """The motion, with the uploaded file's own name in the place of the temporary one in all that is said."""
+    try:
+        sequence = read_poses(path, fps=fps)
+    except CaphyError as error:
+        raise Problem(422, str(error).replace(str(path), name)) from error
+    except (ArithmeticError, MemoryError, RecursionError, ValueError) as error:
+        raise Problem(422, f"{name}: cannot be read as a pose file ({type(error).__name__})") from error
+    notes = tuple(note.replace(str(path), name) for note in sequence.notes)
+    return PoseSequence(**{**vars(sequence), "source": name, "notes": notes})

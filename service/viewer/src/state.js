@@ -1,0 +1,46 @@
+// What the page is busy with, in one place: loading, an error, or a service that went away.
+
+const find = (id) => document.getElementById(id);
+
+export class PageState {
+  constructor({ again, dismiss, key }) {
+    this.card = find("state");
+    find("again").addEventListener("click", again);
+    find("dismiss").addEventListener("click", dismiss);
+    find("key-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      key(find("key").value);
+    });
+    this.clear();
+  }
+
+  get kind() { return this.card.hidden ? "" : this.card.dataset.kind; }
+
+  loading(text) { this.set("loading", text); }
+
+  /** Disconnected, and trying again by itself. */
+  gone(text) { this.set("gone", text); }
+
+  /** `back` says whether there is something to go back to. */
+  error(text, { back = false, again = true } = {}) {
+    this.set("error", text);
+    find("dismiss").hidden = !back;
+    find("again").hidden = !again;
+    (back ? find("dismiss") : find("again")).focus();
+  }
+
+  askForKey(text) {
+    this.set("key", text);
+    find("key-form").hidden = false;
+    find("key").focus();
+  }
+
+  clear() { this.card.hidden = true; }
+
+  set(kind, text) {
+    this.card.hidden = false;
+    this.card.dataset.kind = kind;
+    find("state-text").textContent = text;
+    find("key-form").hidden = true;
+  }
+}

@@ -1,0 +1,361 @@
+// The page: loads an avatar and a motion, plays it from a clip or a live stream, and shows what it is told to.
+import { AvatarModel } from "./avatar.js";
+import { Clip } from "./clip.js";
+import { listenToKeys } from "./keys.js";
+import { Live } from "./live.js";
+import { apiKey, avatarGlb, listAvatars, madeUpMotion, Refusal, uploadedMotion } from "./service.js";
+import { Stage } from "./stage.js";
+import { PageState } from "./state.js";
+import { MOST, RAMP } from "./strain.js";
+
+const find = (id) => document.getElementById(id);
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
+const JUMP = 8; // frames; a longer step of a live motion is a cut, and the cloth starts anew
+
+class Viewer {
+  constructor() {
+    this.time = 0; // in frames, with fractions
+    this.playing = false;
+    this.speed = 1;
+    this.strain = this.wire = false;
+    this.state = new PageState({
+      again: () => this.start(),
+      dismiss: () => this.state.clear(),
+      key: (value) => { apiKey.set(value); this.start(); },
+    });
+    this.listen();
+    listenToKeys(this);
+  }
+
+  async start() {
+    try {
+      this.state.loading("Loading the avatar…");
+      this.stage ??= openStage();
+      const avatars = await listAvatars();
+      if (!avatars.length) throw new Refusal("The service is still loading its avatars.", 503);
+      this.choices(avatars);
+      await this.dress(find("avatar").value);
+      await this.run(await this.fetched(() => madeUpMotion(this.avatar.id)));
+    } catch (error) {
+      this.failed(error, () => this.start());
+    }
+  }
+
+  choices(avatars) {
+    this.avatars = avatars;
+    const select = find("avatar"), before = select.value;
+    select.replaceChildren(...avatars.map(({ id, name }) => new Option(name === id ? id : `${name} (${id})`, id)));
+    if (avatars.some(({ id }) => id === before)) select.value = before;
+    find("avatar-choice").hidden = avatars.length < 2;
+  }
+
+  async dress(id) {
+    this.avatar = this.avatars.find((avatar) => avatar.id === id);
+    const model = await AvatarModel.load(await avatarGlb(id));
+    if (this.model) this.stage.scene.remove(this.model.root);
+    this.model = model;
+    this.stage.scene.add(model.root);
+    for (const button of document.querySelectorAll("#parts [data-garment]")) button.remove();
+    [...model.garments.keys()].forEach((name, i) => this.addGarmentButton(name, i + 1));
+    this.appearance();
+  }
+
+  addGarmentButton(name, key) {
+    const button = document.createElement("button");
+    Object.assign(button, { type: "button", textContent: name, title: `${name} (${key})` });
+    button.dataset.garment = name;
+    button.setAttribute("aria-pressed", "true");
+    button.addEventListener("click", () => this.toggle(button));
+    find("parts").append(button);
+  }
+
+  async fetched(ask) {
+    this.state.loading("Loading the motion…");
+    return ask();
+  }
+
+  /** Takes up a motion: its first frames are shown as soon as they are here, the others follow. */
+  async run(motion) {
+    this.loading?.abort();
+    const loading = (this.loading = new AbortController());
+    const clip = (this.clip = new Clip(motion));
+    this.live?.close();
+    this.time = 0;
+    this.shown = null;
+    find("scrub").max = clip.frames - 1;
+    find("source").textContent = this.describe(clip);
+    find("source").title = clip.notes.join("; ");
+    if (this.live) this.openLive();
+    this.state.loading("Dressing the first frames…");
+    await this.fill(clip, loading.signal);
+  }
+
+  describe(clip) {
+    const cut = clip.frames < clip.whole ? `the first ${Math.round(clip.seconds)} s of ` : "";
+    return `${cut}${clip.source} · ${clip.frames} frames at ${clip.fps} per second`;
+  }
+
+  /** Fetches the clip's meshes, and goes on by itself where the service was away. */
+  async fill(clip, signal) {
+    for (let wait = 1; clip === this.clip && clip.ready < clip.frames; wait = Math.min(2 * wait, 8)) {
+      try {
+        await clip.load(this.avatar.id, () => { wait = 1; this.arrived(clip); }, signal);
+      } catch (error) {
+        if (error.name === "AbortError") return;
+        if (!(error instanceof Refusal) || (error.status !== 0 && error.status !== 503)) throw error;
+        const seconds = error.wait ?? wait;
+        this.state.gone(`Disconnected: ${error.message} Trying again in ${seconds} s.`);
+        await new Promise((done) => setTimeout(done, 1000 * seconds));
+      }
+    }
+  }
+
+  arrived(clip) {
+    if (clip !== this.clip) return;
+    find("ready").style.width = `${(100 * clip.ready) / clip.frames}%`;
+    if (["loading", "gone"].includes(this.state.kind) && !this.live?.away) this.state.clear();
+    if (this.shown === null) {
+      this.show();
+      this.stage.home();
+      if (!matchMedia("(prefers-reduced-motion: reduce)").matches) this.play(true);
+    }
+  }
+
+  failed(error, again) {
+    if (error instanceof Refusal && error.status === 401) return this.state.askForKey(error.message);
+    if (error instanceof Refusal && (error.status === 0 || error.status === 503)) {
+      this.state.gone(`Disconnected: ${error.message} Trying again in ${error.wait ?? 2} s.`);
+      return setTimeout(again, 1000 * (error.wait ?? 2));
+    }
+    this.play(false);
+    this.state.error(error.message, { back: this.shown !== null && this.shown !== undefined });
+    if (!(error instanceof Refusal)) console.error(error);
+  }
+
+  async openFile(file) {
+    const before = this.clip;
+    try {
+      await this.run(await this.fetched(() => uploadedMotion(this.avatar.id, file)));
+    } catch (error) {
+      if (error instanceof Refusal && error.status) {
+        this.play(false);
+        this.state.error(error.message, { back: Boolean(before), again: false });
+      } else this.failed(error, () => this.openFile(file));
+    }
+  }
+
+  // Time
+
+  play(on) {
+    this.playing = on && Boolean(this.clip);
+    find("play").classList.toggle("playing", this.playing);
+    find("play").setAttribute("aria-label", this.playing ? "Pause" : "Play");
+    if (this.playing && !this.ticking) {
+      this.before = performance.now();
+      this.ticking = requestAnimationFrame((now) => this.tick(now));
+    }
+  }
+
+  tick(now) {
+    this.ticking = 0;
+    if (!this.playing) return;
+    const { clip } = this, elapsed = Math.min((now - this.before) / 1000, 0.25);
+    this.before = now;
+    let time = this.time + elapsed * clip.fps * this.speed;
+    if (time >= clip.frames - 1) time = clip.frames > 1 ? time % (clip.frames - 1) : 0;
+    this.time = this.live ? time : Math.min(time, Math.max(clip.ready - 1, 0));
+    this.show();
+    this.ticking = requestAnimationFrame((then) => this.tick(then));
+  }
+
+  /** Goes to a frame, in whole frames. */
+  seek(frame) {
+    if (!this.clip) return;
+    this.time = Math.max(0, Math.min(frame, this.clip.frames - 1));
+    if (!this.live) this.time = Math.min(this.time, Math.max(this.clip.ready - 1, 0));
+    this.show();
+  }
+
+  step(frames) {
+    this.play(false);
+    this.seek(Math.round(this.time) + frames);
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+    find("speed").value = String(speed);
+  }
+
+  faster(by) {
+    this.setSpeed(SPEEDS[Math.max(0, Math.min(SPEEDS.indexOf(this.speed) + by, SPEEDS.length - 1))]);
+  }
+
+  // What is seen
+
+  show() {
+    const { clip } = this, frame = Math.floor(this.time);
+    find("scrub").value = frame;
+    const seconds = (this.time / clip.fps).toFixed(2);
+    find("clock").textContent = `${seconds} / ${clip.seconds.toFixed(2)} s`;
+    find("scrub").setAttribute("aria-valuetext", `frame ${frame}, ${seconds} seconds`);
+    if (this.live) this.sendLive(frame);
+    else if (clip.ready) this.showClip(frame, this.time - frame);
+  }
+
+  showClip(frame, share) {
+    const { clip, model } = this;
+    for (const [name, garment] of model.garments) {
+      if (garment.mesh.visible) clip.vertices(name, frame, share, garment.vertices);
+    }
+    this.posed(frame, share);
+  }
+
+  posed(frame, share) {
+    const { clip, model } = this, other = Math.min(frame + 1, clip.frames - 1);
+    model.pose(clip.pose(frame), clip.place(frame), clip.pose(other), clip.place(other), share);
+    for (const garment of model.garments.values()) garment.update();
+    const { x, z } = model.bones[0].position;
+    this.stage.follow(x, z);
+    this.shown = frame;
+    if (this.strain) this.readStrain();
+    this.stage.draw();
+  }
+
+  appearance() {
+    const on = (button) => button.getAttribute("aria-pressed") === "true";
+    this.model.body.visible = on(find("body"));
+    for (const button of document.querySelectorAll("#parts [data-garment]")) {
+      const shown = { visible: on(button), wire: this.wire, strain: this.strain };
+      this.model.garments.get(button.dataset.garment).show(shown);
+    }
+    const ink = getComputedStyle(document.body).color;
+    for (const { wire } of this.model.garments.values()) wire.material.color.set(ink);
+    find("legend").hidden = !this.strain;
+    if (this.shown === null || this.shown === undefined) return;
+    if (this.live) this.posed(this.shown, 0);
+    else this.show();
+  }
+
+  toggle(button) {
+    button.setAttribute("aria-pressed", String(button.getAttribute("aria-pressed") !== "true"));
+    this.wire = find("wireframe").getAttribute("aria-pressed") === "true";
+    if (this.model) this.appearance();
+  }
+
+  colour(strain) {
+    this.strain = strain;
+    find("shaded").setAttribute("aria-pressed", String(!strain));
+    find("strain").setAttribute("aria-pressed", String(strain));
+    if (this.model) this.appearance();
+  }
+
+  readStrain() {
+    const now = performance.now();
+    if (this.playing && now - (this.strainRead ?? 0) < 250) return;
+    this.strainRead = now;
+    const shown = [...this.model.garments.values()].filter((garment) => garment.mesh.visible);
+    const sorted = Float32Array.from(shown.flatMap((garment) => [...garment.stretch])).sort();
+    const at = (share) => (100 * (sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)] ?? 0)).toFixed(0);
+    find("legend-now").textContent = `this frame: half of the faces below ${at(0.5)} %, 95 % below ${at(0.95)} %, largest ${at(1)} %`;
+  }
+
+  // The live stream
+
+  goLive(on) {
+    if (!this.clip || on === Boolean(this.live)) return;
+    find("clip").setAttribute("aria-pressed", String(!on));
+    find("go-live").setAttribute("aria-pressed", String(on));
+    find("live").hidden = !on;
+    find("ready").hidden = on;
+    if (on) this.openLive();
+    else {
+      this.live.close();
+      this.live = null;
+      if (this.state.kind === "gone") this.state.clear();
+      this.seek(this.time);
+    }
+  }
+
+  openLive() {
+    this.lastSent = null;
+    this.live = new Live(this.avatar.id, this.clip.fps, {
+      heard: (frame, garments) => this.heardLive(frame, garments),
+      lost: (text) => { this.live.away = true; this.state.gone(text); },
+      back: () => { this.live.away = false; if (this.state.kind === "gone") this.state.clear(); },
+    });
+    this.sendLive(Math.floor(this.time));
+  }
+
+  sendLive(frame) {
+    if (frame === this.lastSent) return;
+    const step = frame - (this.lastSent ?? frame - 1);
+    if (step < 0 || step > JUMP) this.live.reset();
+    this.lastSent = frame;
+    this.live.send(frame, this.clip.pose(frame), this.clip.place(frame));
+  }
+
+  heardLive(frame, garments) {
+    for (const [name, vertices] of garments) this.model.garments.get(name)?.vertices.set(vertices);
+    this.posed(frame, 0);
+    const now = performance.now();
+    if (now - (this.figuresRead ?? 0) < 250) return;
+    this.figuresRead = now;
+    const { median, most, dropped, sent, rate } = this.live.figures();
+    find("latency").textContent = `${median.toFixed(1)} ms`;
+    find("latency-95").textContent = `${most.toFixed(1)} ms`;
+    find("dropped").textContent = `${dropped} of ${sent}`;
+    find("rate").textContent = `${rate} / s`;
+  }
+
+  // The page
+
+  listen() {
+    find("play").addEventListener("click", () => this.play(!this.playing));
+    find("scrub").addEventListener("input", (event) => { this.play(false); this.seek(Number(event.target.value)); });
+    find("speed").addEventListener("change", (event) => this.setSpeed(Number(event.target.value)));
+    find("clip").addEventListener("click", () => this.goLive(false));
+    find("go-live").addEventListener("click", () => this.goLive(true));
+    find("shaded").addEventListener("click", () => this.colour(false));
+    find("strain").addEventListener("click", () => this.colour(true));
+    for (const id of ["wireframe", "body"]) find(id).addEventListener("click", () => this.toggle(find(id)));
+    find("open").addEventListener("click", () => find("file").click());
+    find("file").addEventListener("change", (event) => {
+      const [file] = event.target.files;
+      event.target.value = "";
+      if (file) this.openFile(file);
+    });
+    find("camera").addEventListener("click", () => this.stage?.home());
+    find("help").addEventListener("click", () => find("keys").showModal());
+    find("avatar").addEventListener("change", () => this.start());
+    find("legend").querySelector(".ramp").style.background = `linear-gradient(90deg, ${RAMP.join(",")})`;
+    find("legend-most").textContent = `${100 * MOST} % and more`;
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.model && this.appearance());
+    this.listenToDrops();
+  }
+
+  listenToDrops() {
+    let depth = 0;
+    const hint = (by) => { depth = Math.max(0, depth + by); find("drop").hidden = depth === 0; };
+    addEventListener("dragenter", (event) => { event.preventDefault(); hint(1); });
+    addEventListener("dragleave", () => hint(-1));
+    addEventListener("dragover", (event) => event.preventDefault());
+    addEventListener("drop", (event) => {
+      event.preventDefault();
+      hint(-depth);
+      const [file] = event.dataTransfer.files;
+      if (file && this.avatar) this.openFile(file);
+    });
+  }
+}
+
+function openStage() {
+  try {
+    return new Stage(find("view"));
+  } catch (error) {
+    throw new Error(`This page needs WebGL, which this browser does not offer (${error.message}).`);
+  }
+}
+
+const viewer = new Viewer();
+globalThis.caphy = viewer; // to look at from the browser's console
+viewer.start();
