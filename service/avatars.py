@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from caphy.errors import CaphyError
-from caphy.io.bundle import MANIFEST, AvatarBundle, read_bundle
+from caphy.io.bundle import MANIFEST, AvatarBundle, BundledGarment, read_bundle
 from service.engine import GarmentEngine
 from service.metrics import resident_bytes
 from service.problem import Problem
@@ -27,7 +27,7 @@ class Avatar:
         self.id = identifier
         self.bundle = bundle
         self.version = version
-        self.engines = {garment.name: GarmentEngine(garment, chunk) for garment in bundle.garments}
+        self.engines = {garment.name: _engine(garment, chunk) for garment in bundle.garments}
         self.loaded_bytes = 0
         self.loaded_seconds = 0.0
         self._made: dict[str, bytes] = {}
@@ -61,11 +61,22 @@ class Avatar:
             return self._made[name]
 
 
+def _engine(garment: BundledGarment, chunk: int) -> GarmentEngine:
+    try:
+        return GarmentEngine(garment, chunk)
+    except CaphyError as error:
+        raise error if garment.name in str(error) else CaphyError(f"garment {garment.name!r}: {error}") from error
+
+
 def load_avatar(place: Path, chunk: int) -> Avatar:
     """The bundle in ``place``, warm; raises CaphyError where it is broken."""
     before, started = resident_bytes(), perf_counter()
     version = _version(place)
-    avatar = Avatar(place.name, read_bundle(place), chunk, version)
+    bundle = read_bundle(place)
+    try:
+        avatar = Avatar(place.name, bundle, chunk, version)
+    except CaphyError as error:
+        raise CaphyError(f"{place}: {error}") from error
     avatar.loaded_bytes = max(0, resident_bytes() - before)
     avatar.loaded_seconds = perf_counter() - started
     return avatar
