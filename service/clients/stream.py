@@ -77,7 +77,7 @@ class StreamClient:
         self._hello = Hello(tuple(garments), fps, Encoding[encoding.upper()], normals, credits)
         self._state = np.zeros(0, np.float32) if state is None else np.asarray(state, np.float32)
         self._fps, self._patience = fps, patience
-        self._number = self._received = self._settled = -1
+        self._number = self._received = self._settled = 0
         self._unsaved: deque[Poses] = deque()
         self._since_saved = 0
         self._messages: deque[ServerMessage] = deque()

@@ -35,6 +35,11 @@ class CausalClock:
         self._next = 0
         self._pose = self._transl = np.zeros(0, np.float32)
 
+    @property
+    def number(self) -> int:
+        """Of the newest pose, 0 before the first."""
+        return max(0, self._number)
+
     def take(self, number: int, poses: np.ndarray, transl: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses (N, 55, 3) and transl (N, 3), float32, of the ticks that poses (T, 55, 3) from ``number`` on complete.
 

@@ -58,6 +58,13 @@ class Ticks:
     transl: np.ndarray
 
 
+@dataclass(frozen=True)
+class Restart:
+    """A reset in the queue, after the pose of ``number``."""
+
+    number: int
+
+
 @dataclass(frozen=True, eq=False)
 class Job:
     """Poses to live (N, 55, 3), and which of them to show: all from ``shown`` on, as the answer to ``answered``."""
@@ -88,7 +95,7 @@ class Session:
         self._tick = 0
         self._number = 0
         self._frames = 0
-        self._queue: deque[Ticks | Reset | GetState] = deque()
+        self._queue: deque[Ticks | Restart | GetState] = deque()
         self._poses_waiting = 0
         self._clock = CausalClock(self.fps, _checked_rate(hello.fps), limits.max_frames)
         self._add_credits(hello.credits)
@@ -116,8 +123,8 @@ class Session:
             case Rate():
                 self._clock.pose_fps = _checked_rate(message.fps)
             case Reset():
+                self._queue.append(Restart(self._clock.number))
                 self._clock.restart()
-                self._queue.append(message)
             case GetState():
                 self._queue.append(message)
 
@@ -129,9 +136,9 @@ class Session:
         self._forget_before_reset()
         while self._queue:
             first = self._queue[0]
-            if isinstance(first, Reset):
+            if isinstance(first, Restart):
                 self._queue.popleft()
-                self.states, self._tick, self._number = self._first_states(np.zeros(0)), 0, 0
+                self.states, self._tick, self._number = self._first_states(np.zeros(0)), 0, first.number
             elif isinstance(first, GetState):
                 return self._state_message(first) if free else None
             else:
@@ -175,7 +182,7 @@ class Session:
 
     def _forget_before_reset(self) -> None:
         """Poses before a reset move nothing that anybody will see."""
-        last = max((i for i, item in enumerate(self._queue) if isinstance(item, Reset)), default=0)
+        last = max((i for i, item in enumerate(self._queue) if isinstance(item, Restart)), default=0)
         if not last or any(isinstance(item, GetState) for item in self._queue):
             return
         for _ in range(last):

@@ -1,0 +1,354 @@
+/**
+ * The stream's client for browsers and node: poses in, meshes out, and a new connection with the old state where one
+ * breaks. An ES module without dependencies; docs/stream.md is the protocol.
+ *
+ *   const stream = new GarmentStream("ws://127.0.0.1:8000/avatars/default/stream", { encoding: "uint16" });
+ *   stream.onwelcome = (welcome) => ...;   // { fps, garments: [{ name, count, stateSize }], maxFrames, maxCredits }
+ *   stream.onmeshes = (answer) => ...;     // { number, tick, frames, skipped, time, garments: { tshirt: { vertices } } }
+ *   stream.send(poses, transl);            // Float32Array of 165 and of 3 for every frame
+ */
+
+export const VERSION = 1;
+export const JOINTS = 55;
+export const HEADER_BYTES = 24;
+export const Kind = Object.freeze({
+  HELLO: 1, POSES: 2, CREDIT: 3, RESET: 4, RATE: 5, GET_STATE: 6, WELCOME: 129, MESHES: 130, STATE: 131, ERROR: 132,
+});
+export const Encoding = Object.freeze({ float32: 0, float16: 1, uint16: 2, weights: 3 });
+const MAGIC = 0x53485043; // "CPHS" read as a little-endian number
+const NORMALS = 1;
+const NAME_BYTES = 40;
+const GARMENT_BYTES = 48;
+const FRAME_FLOATS = 3 * JOINTS + 3;
+const SAVE_EVERY = 30;
+/** Close codes after which the same again would fail again. */
+const FINAL = new Set([4400, 4404, 4409, 4413, 4422, 1008]);
+
+function start(kind, bytes, { count = 0, number = 0, extra = 0, time = 0 } = {}) {
+  const view = new DataView(new ArrayBuffer(HEADER_BYTES + bytes));
+  view.setUint32(0, MAGIC, true);
+  view.setUint8(4, VERSION);
+  view.setUint8(5, kind);
+  view.setUint16(6, count, true);
+  view.setUint32(8, number, true);
+  view.setUint32(12, extra, true);
+  view.setFloat64(16, time, true);
+  return view;
+}
+
+/** Floats after the header; float by float, because the machine may not be little-endian. */
+function putFloats(view, offset, floats) {
+  for (let i = 0; i < floats.length; i++) view.setFloat32(offset + 4 * i, floats[i], true);
+}
+
+export function encodeHello({ garments = [], fps = 30, encoding = "float32", normals = false, credits = 2, state = [] } = {}) {
+  if (!(encoding in Encoding)) throw new RangeError(`encoding must be one of ${Object.keys(Encoding).join(", ")}, got ${encoding}`);
+  const view = start(Kind.HELLO, 8 + NAME_BYTES * garments.length + 4 * state.length, { count: garments.length, extra: state.length });
+  view.setFloat32(24, fps, true);
+  view.setUint16(28, credits, true);
+  view.setUint8(30, Encoding[encoding]);
+  view.setUint8(31, normals ? NORMALS : 0);
+  garments.forEach((name, i) => {
+    if (name.length > NAME_BYTES) throw new RangeError(`a garment's name may have ${NAME_BYTES} letters, got ${name}`);
+    for (let j = 0; j < name.length; j++) view.setUint8(32 + NAME_BYTES * i + j, name.charCodeAt(j));
+  });
+  putFloats(view, 32 + NAME_BYTES * garments.length, state);
+  return view.buffer;
+}
+
+/** Poses of T frames: 165 T floats [rad] and 3 T floats [m]; number is that of the first. */
+export function encodePoses(number, time, poses, transl) {
+  const frames = transl.length / 3;
+  if (!Number.isInteger(frames) || frames < 1 || poses.length !== 3 * JOINTS * frames) {
+    throw new RangeError(`poses must hold ${3 * JOINTS} floats and transl 3 for every frame, got ${poses.length} and ${transl.length}`);
+  }
+  const view = start(Kind.POSES, 4 * FRAME_FLOATS * frames, { count: frames, number, time });
+  putFloats(view, HEADER_BYTES, poses);
+  putFloats(view, HEADER_BYTES + 4 * poses.length, transl);
+  return view.buffer;
+}
+
+export const encodeCredit = (count) => start(Kind.CREDIT, 0, { extra: count }).buffer;
+export const encodeReset = () => start(Kind.RESET, 0).buffer;
+export const encodeGetState = (time = 0) => start(Kind.GET_STATE, 0, { time }).buffer;
+export function encodeRate(fps) {
+  const view = start(Kind.RATE, 4);
+  view.setFloat32(24, fps, true);
+  return view.buffer;
+}
+
+/** Takes arrays off a message one after another, each padded to four bytes; RangeError where it ends too early. */
+class Reader {
+  constructor(buffer, offset) {
+    this.buffer = buffer;
+    this.offset = offset;
+  }
+
+  take(Kind, count) {
+    const array = new Kind(this.buffer, this.offset, count);
+    this.offset += Math.ceil(array.byteLength / 4) * 4;
+    if (this.offset > this.buffer.byteLength) throw new RangeError("the message is cut short");
+    return array;
+  }
+}
+
+let halves = null;
+
+/** All half floats, by their bits. */
+function halfTable() {
+  if (halves) return halves;
+  halves = new Float32Array(65536);
+  for (let bits = 0; bits < 65536; bits++) {
+    const sign = bits & 0x8000 ? -1 : 1;
+    const exponent = (bits >> 10) & 31;
+    const fraction = bits & 1023;
+    if (exponent === 31) halves[bits] = fraction ? NaN : sign * Infinity;
+    else if (exponent === 0) halves[bits] = sign * fraction * 2 ** -24;
+    else halves[bits] = sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
+  }
+  return halves;
+}
+
+function readHalves(reader, count) {
+  const table = halfTable();
+  const bits = reader.take(Uint16Array, count);
+  return Float32Array.from(bits, (value) => table[value]);
+}
+
+const READERS = {
+  float32: (reader, frames, count) => reader.take(Float32Array, 3 * frames * count),
+  float16: (reader, frames, count) => {
+    const centre = reader.take(Float32Array, 3 * frames);
+    const vertices = readHalves(reader, 3 * frames * count);
+    for (let i = 0; i < vertices.length; i++) vertices[i] += centre[3 * Math.floor(i / (3 * count)) + (i % 3)];
+    return vertices;
+  },
+  uint16: (reader, frames, count) => {
+    const low = reader.take(Float32Array, 3 * frames);
+    const step = reader.take(Float32Array, 3 * frames);
+    const steps = reader.take(Uint16Array, 3 * frames * count);
+    const vertices = new Float32Array(steps.length);
+    for (let frame = 0, i = 0; frame < frames; frame++) {
+      const at = 3 * frame;
+      for (let vertex = 0; vertex < count; vertex++, i += 3) {
+        vertices[i] = low[at] + step[at] * steps[i];
+        vertices[i + 1] = low[at + 1] + step[at + 1] * steps[i + 1];
+        vertices[i + 2] = low[at + 2] + step[at + 2] * steps[i + 2];
+      }
+    }
+    return vertices;
+  },
+};
+
+/** Reads the server's messages; what the client chose and the welcome said tells how meshes are packed. */
+export class ServerDecoder {
+  constructor(encoding = "float32", normals = false) {
+    this.encoding = encoding;
+    this.normals = normals;
+    this.garments = [];
+  }
+
+  /** The message in an ArrayBuffer: { kind, ... }; throws RangeError or TypeError where it is none. */
+  decode(buffer) {
+    const view = new DataView(buffer);
+    if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== MAGIC || view.getUint8(4) !== VERSION) {
+      throw new RangeError("a message starts with CPHS and version 1");
+    }
+    const kind = view.getUint8(5);
+    const count = view.getUint16(6, true);
+    const number = view.getUint32(8, true);
+    const extra = view.getUint32(12, true);
+    const time = view.getFloat64(16, true);
+    if (kind === Kind.WELCOME) return this.#welcome(view, count);
+    if (kind === Kind.MESHES) return this.#meshes(view, { kind, frames: count, number, skipped: extra, time });
+    if (kind === Kind.STATE) return { kind, number, time, state: new Float32Array(buffer, HEADER_BYTES, extra) };
+    if (kind === Kind.ERROR) {
+      return { kind, number, code: extra, text: new TextDecoder().decode(new Uint8Array(buffer, HEADER_BYTES)) };
+    }
+    throw new RangeError(`a server sends no message of type ${kind}`);
+  }
+
+  #welcome(view, count) {
+    this.garments = Array.from({ length: count }, (_, i) => {
+      const at = 32 + GARMENT_BYTES * i;
+      const name = String.fromCharCode(...new Uint8Array(view.buffer, at, NAME_BYTES)).replace(/\0+$/, "");
+      return { name, count: view.getUint32(at + NAME_BYTES, true), stateSize: view.getUint32(at + NAME_BYTES + 4, true) };
+    });
+    const fps = view.getFloat32(24, true);
+    const maxFrames = view.getUint16(28, true);
+    return { kind: Kind.WELCOME, fps, maxFrames, maxCredits: view.getUint16(30, true), garments: this.garments };
+  }
+
+  #meshes(view, message) {
+    const reader = new Reader(view.buffer, 32);
+    const answer = { ...message, tick: view.getUint32(24, true), milliseconds: view.getFloat32(28, true), garments: {} };
+    if (this.encoding === "weights") {
+      answer.root = reader.take(Float32Array, 3 * message.frames);
+      answer.rotations = reader.take(Float32Array, 4 * JOINTS * message.frames);
+    }
+    for (const { name, count } of this.garments) {
+      if (this.encoding === "weights") {
+        answer.garments[name] = { weights: readHalves(reader, message.frames * count) };
+        reader.offset = Math.ceil(reader.offset / 4) * 4;
+        continue;
+      }
+      answer.garments[name] = { vertices: READERS[this.encoding](reader, message.frames, count) };
+      if (this.normals) answer.garments[name].normals = reader.take(Int8Array, 4 * message.frames * count);
+    }
+    return answer;
+  }
+}
+
+/**
+ * One stream that stays: where its connection breaks, it is made again with the last state the service told and all
+ * poses sent since; meshes received already are not given twice.
+ *
+ * Set onwelcome, onmeshes, onerror ({ code, text }: a message was refused, the stream goes on), onstatus ("connecting",
+ * "open", "closed"). `key` is an API key. A credit goes back with every answer, after onmeshes has returned.
+ */
+export class GarmentStream {
+  onwelcome = () => {};
+  onmeshes = () => {};
+  onerror = () => {};
+  onstatus = () => {};
+  skipped = 0;
+  reconnections = 0;
+  /** Milliseconds from the last answered poses' departure to their meshes' arrival. */
+  latency = NaN;
+  welcome = null;
+
+  #url; #options; #socket = null; #closed = false; #wait = 50; #timer = null;
+  #number = 0; #received = 0; #unsaved = []; #sinceSaved = 0; #state = new Float32Array(0); #asked = [];
+
+  constructor(url, { key, state, ...options } = {}) {
+    this.#url = String(url).replace(/^http/, "ws");
+    this.#options = { fps: 30, encoding: "float32", normals: false, credits: 2, garments: [], ...options, key };
+    if (state) this.#state = Float32Array.from(state);
+    this.#connect();
+  }
+
+  get open() {
+    return this.welcome !== null && this.#socket?.readyState === 1;
+  }
+
+  /** Send frames of poses (165 floats each) and transl (3 floats each); returns the last one's number. */
+  send(poses, transl) {
+    const number = this.#number + 1;
+    const body = encodePoses(number, now(), poses, transl);
+    this.#number += transl.length / 3;
+    this.#unsaved.push({ first: number, last: this.#number, body });
+    if (this.open) this.#socket.send(body);
+    if (++this.#sinceSaved >= SAVE_EVERY) {
+      this.#sinceSaved = 0;
+      if (this.open) this.#socket.send(encodeGetState());
+    }
+    return this.#number;
+  }
+
+  /** The state of every garment after all poses sent so far: a promise of { tshirt: Float32Array }. */
+  state() {
+    return new Promise((resolve) => {
+      this.#asked.push({ after: this.#number, resolve });
+      if (this.open) this.#socket.send(encodeGetState());
+    });
+  }
+
+  /** The next pose starts a new motion. */
+  reset() {
+    this.#unsaved = [];
+    this.#state = new Float32Array(0);
+    if (this.open) this.#socket.send(encodeReset());
+  }
+
+  /** The poses from here on come at this rate. */
+  setFps(fps) {
+    this.#options.fps = fps;
+    if (this.open) this.#socket.send(encodeRate(fps));
+  }
+
+  close() {
+    this.#closed = true;
+    clearTimeout(this.#timer);
+    this.#socket?.close(1000);
+  }
+
+  #connect() {
+    this.onstatus("connecting");
+    const { key, ...hello } = this.#options;
+    const protocols = key ? ["caphy", `caphy.key.${base64url(key)}`] : [];
+    const socket = new WebSocket(this.#url, protocols);
+    const decoder = new ServerDecoder(hello.encoding, hello.normals);
+    this.#socket = socket;
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => socket.send(encodeHello({ ...hello, state: this.#state }));
+    socket.onmessage = (event) => this.#take(decoder.decode(event.data));
+    socket.onclose = (event) => this.#lost(event);
+    socket.onerror = () => {}; // onclose follows and says more
+  }
+
+  #take(message) {
+    switch (message.kind) {
+      case Kind.WELCOME:
+        this.welcome = message;
+        this.#wait = 50;
+        this.onstatus("open");
+        this.onwelcome(message);
+        for (const { body } of this.#unsaved) this.#socket.send(body);
+        if (this.#asked.length) this.#socket.send(encodeGetState());
+        break;
+      case Kind.MESHES:
+        this.skipped = message.skipped;
+        if (message.number > this.#received) {
+          this.#received = message.number;
+          this.latency = now() * 1e3 - message.time * 1e3;
+          this.onmeshes(message);
+        }
+        if (this.open) this.#socket.send(encodeCredit(1));
+        break;
+      case Kind.STATE:
+        this.#settle(message);
+        break;
+      case Kind.ERROR:
+        this.#unsaved = this.#unsaved.filter(({ first }) => first !== message.number);
+        this.onerror(message);
+    }
+  }
+
+  #settle({ number, state }) {
+    this.#state = state;
+    this.#unsaved = this.#unsaved.filter(({ last }) => last > number);
+    const waiting = [];
+    for (const asked of this.#asked) {
+      if (asked.after > number) {
+        waiting.push(asked);
+        continue;
+      }
+      let at = 0;
+      const parts = this.welcome.garments.map(({ name, stateSize }) => [name, state.slice(at, (at += stateSize))]);
+      asked.resolve(Object.fromEntries(parts));
+    }
+    this.#asked = waiting;
+  }
+
+  #lost({ code, reason }) {
+    this.welcome = null;
+    if (this.#closed || FINAL.has(code)) {
+      this.#closed = true;
+      if (FINAL.has(code)) this.onerror({ code: code >= 4000 ? code - 4000 : 403, text: reason, number: 0 });
+      this.onstatus("closed");
+      return;
+    }
+    this.onstatus("connecting");
+    this.reconnections++;
+    this.#timer = setTimeout(() => this.#connect(), this.#wait);
+    this.#wait = Math.min(5000, 2 * this.#wait);
+  }
+}
+
+/** Seconds of a clock that only goes forward. */
+const now = () => performance.now() / 1e3;
+
+function base64url(text) {
+  const bytes = String.fromCharCode(...new TextEncoder().encode(text));
+  return btoa(bytes).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
+}
