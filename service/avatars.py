@@ -65,7 +65,9 @@ def _engine(garment: BundledGarment, chunk: int) -> GarmentEngine:
     try:
         return GarmentEngine(garment, chunk)
     except CaphyError as error:
-        raise error if garment.name in str(error) else CaphyError(f"garment {garment.name!r}: {error}") from error
+        if garment.name in str(error):
+            raise
+        raise CaphyError(f"garment {garment.name!r}: {error}") from error
 
 
 def load_avatar(place: Path, chunk: int) -> Avatar:

@@ -168,7 +168,7 @@ def test_broken_bundles_are_refused_and_the_old_one_serves_on(folder, library, c
     assert str(folder) in refusal.getMessage()  # says where
     library.look()
     assert caplog.text.count("avatar refused") == 1  # once, not at every look
-    with pytest.raises(CaphyError, match=r"export|copy"):
+    with pytest.raises(CaphyError, match=r"export|copy|must"):
         Library(folder, 8, Metrics()).load()
 
 
