@@ -10,7 +10,8 @@ const here = new URL(".", import.meta.url).pathname, packages = resolve(process.
 const { buildSync } = createRequire(`${packages}/`)("esbuild");
 
 const digest = createHash("sha256");
-for (const name of readdirSync(`${here}src`).sort()) digest.update(name).update(readFileSync(`${here}src/${name}`));
+for (const name of readdirSync(`${here}src`).sort()) digest.update(readFileSync(`${here}src/${name}`));
+digest.update(readFileSync(`${here}../clients/stream.js`));
 const banner = { js: `/* built from sources ${digest.digest("hex")} */` };
 const bundle = (name, external) => buildSync({
   entryPoints: [`${here}src/${name}`], outfile: `${here}static/${name}`, external, banner, nodePaths: [packages],

@@ -75,7 +75,8 @@ def _read(path: Path, name: str, fps: float | None) -> PoseSequence:
     try:
         sequence = read_poses(path, fps=fps)
     except CaphyError as error:
-        raise Problem(422, str(error).replace(str(path), name)) from error
+        said = str(error).replace(str(path), name).replace(" with --fps", "")
+        raise Problem(422, said) from error
     except (ArithmeticError, MemoryError, RecursionError, ValueError) as error:
         raise Problem(422, f"{name}: cannot be read as a pose file ({type(error).__name__})") from error
     notes = tuple(note.replace(str(path), name) for note in sequence.notes)

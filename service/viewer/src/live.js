@@ -1,61 +1,72 @@
-// Frames one by one, as an application would: each pose goes out when its time comes, the newest one wins.
-import { Refusal, framesOf } from "./service.js";
+// Frames one by one, as an application would: each pose goes out when its time comes, the newest one is answered.
+import { GarmentStream } from "../../clients/stream.js";
+import { JOINTS } from "./wire.js";
+import { apiKey } from "./service.js";
 
 const REMEMBERED = 240; // latencies that the figures shown are taken over
+const CUT = 8; // frames; a longer step is a cut, and the cloth starts anew
 
 export class Live {
-  /** heard(frame, garments) when meshes arrive; lost(text) and back() when the service goes and comes. */
-  constructor(avatar, fps, { heard, lost, back }) {
-    Object.assign(this, { avatar, fps, heard, lost, back });
-    this.state = new Float32Array(0);
+  /** heard(frame, vertices by garment) when meshes arrive; lost(), back() and refused(text) tell of the connection. */
+  constructor(avatar, clip, { heard, lost, back, refused }) {
+    Object.assign(this, { clip, heard });
     this.latencies = [];
-    this.sent = this.dropped = 0;
     this.arrivals = [];
+    this.due = this.seen = 0; // frames of the motion so far, and those of them that came
+    this.frameOf = new Map(); // by the number of their pose
+    const url = new URL(`/avatars/${encodeURIComponent(avatar)}/stream`, location.href);
+    this.stream = new GarmentStream(url, { fps: clip.fps, encoding: "uint16", key: apiKey.get() ?? undefined });
+    this.stream.onmeshes = (answer) => this.take(answer);
+    this.stream.onstatus = (status) => {
+      if (status === "open") back();
+      else if (!this.closed && status === "connecting" && this.known) lost();
+      this.known = true;
+    };
+    this.stream.onerror = ({ code, text }) => refused(`${text} (${code})`);
   }
 
-  send(frame, poses, transl) {
-    this.sent += 1;
-    if (this.waiting) this.dropped += 1;
-    this.waiting = { frame, poses, transl };
-    this.next();
-  }
-
-  async next() {
-    if (this.busy || !this.waiting || this.closed) return;
-    this.busy = true;
-    const { frame, poses, transl } = this.waiting, started = performance.now();
-    this.waiting = null;
-    try {
-      const answer = await framesOf(this.avatar, { poses, transl, fps: this.fps, state: this.state });
-      this.state = Float32Array.from(answer.garments.flatMap((garment) => [...garment.state]));
-      this.note(performance.now() - started);
-      this.heard(frame, new Map(answer.garments.map((garment) => [garment.name, garment.vertices])));
-    } catch (error) {
-      if (!(error instanceof Refusal)) throw error;
-      this.lost(error.message);
-    } finally {
-      this.busy = false;
+  /** The pose of a frame, and with it those since the last one sent: cloth lives through them all. */
+  send(frame) {
+    if (frame === this.last || !this.stream.open) return;
+    const step = frame - (this.last ?? frame - 1);
+    if (step < 0 || step > CUT) {
+      this.stream.reset();
+      this.before = frame - 1;
     }
-    this.next();
+    const first = step < 0 || step > CUT ? frame : frame - step + 1;
+    const poses = this.clip.poses.subarray(first * JOINTS * 3, (frame + 1) * JOINTS * 3);
+    this.frameOf.set(this.stream.send(poses, this.clip.transl.subarray(first * 3, (frame + 1) * 3)), frame);
+    this.last = frame;
   }
 
-  note(latency) {
-    const now = performance.now();
-    this.latencies.push(latency);
+  take({ number, frames, garments }) {
+    const frame = this.frameOf.get(number);
+    for (const sent of this.frameOf.keys()) if (sent <= number) this.frameOf.delete(sent);
+    if (frame === undefined || this.closed) return;
+    this.note(frame);
+    this.heard(frame, Object.entries(garments).map(([name, { vertices }]) => [name, vertices.subarray(vertices.length - vertices.length / frames)]));
+  }
+
+  note(frame) {
+    const now = performance.now(), step = frame - (this.before ?? frame - 1);
+    this.due += Math.max(step, 1);
+    this.seen += 1;
+    this.before = frame;
+    this.latencies.push(this.stream.latency);
     this.arrivals.push(now);
     if (this.latencies.length > REMEMBERED) this.latencies.shift();
     while (this.arrivals[0] < now - 1000) this.arrivals.shift();
   }
 
-  /** Forget the motion so far. */
-  reset() { this.state = new Float32Array(0); }
+  close() {
+    this.closed = true;
+    this.stream.close();
+  }
 
-  close() { this.closed = true; }
-
-  /** Median and 95th percentile of latency [ms], frames dropped and sent, frames that came within the last second. */
+  /** Median and 95th percentile of latency [ms], frames dropped of those due, meshes that came in the last second. */
   figures() {
     const sorted = [...this.latencies].sort((a, b) => a - b);
     const at = (share) => sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)];
-    return { median: at(0.5), most: at(0.95), dropped: this.dropped, sent: this.sent, rate: this.arrivals.length };
+    return { median: at(0.5), most: at(0.95), dropped: this.due - this.seen, due: this.due, rate: this.arrivals.length };
   }
 }

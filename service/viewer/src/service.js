@@ -22,9 +22,10 @@ export async function madeUpMotion(id) {
   return motion(await ask(`/avatars/${encodeURIComponent(id)}/poses`));
 }
 
-/** A pose file as poses of an avatar. */
-export async function uploadedMotion(id, file) {
-  const path = `/avatars/${encodeURIComponent(id)}/poses?name=${encodeURIComponent(file.name)}`;
+/** A pose file as poses of an avatar; `fps` where the file does not say its frame rate. */
+export async function uploadedMotion(id, file, fps) {
+  const query = new URLSearchParams({ name: file.name, ...(fps ? { fps } : {}) });
+  const path = `/avatars/${encodeURIComponent(id)}/poses?${query}`;
   return motion(await ask(path, { method: "POST", body: file, headers: { "content-type": MEDIA_TYPE } }));
 }
 

@@ -1,7 +1,7 @@
 // The picture: light, floor, and a camera that keeps its place beside a body that walks.
 import {
-  CircleGeometry, Color, DirectionalLight, Fog, GridHelper, HemisphereLight, Mesh, OrbitControls, PCFShadowMap,
-  PerspectiveCamera, Scene, ShadowMaterial, Vector3, WebGLRenderer,
+  BufferGeometry, CircleGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, HemisphereLight, LineBasicMaterial,
+  LineSegments, Mesh, OrbitControls, PCFShadowMap, PerspectiveCamera, Scene, ShadowMaterial, Vector3, WebGLRenderer,
 } from "./three.js";
 
 const MIDDLE = 0.95; // height the camera looks at [m]
@@ -40,8 +40,7 @@ export class Stage {
   }
 
   floor() {
-    this.grid = new GridHelper(24, 48);
-    this.grid.material.transparent = true;
+    this.grid = new LineSegments(grid(12, 0.5), new LineBasicMaterial());
     this.shade = new Mesh(new CircleGeometry(12, 48).rotateX(-Math.PI / 2), new ShadowMaterial({ opacity: 0.22 }));
     this.shade.receiveShadow = true;
     this.shade.position.y = -0.002;
@@ -55,9 +54,6 @@ export class Stage {
     this.scene.background = read("--stage");
     this.scene.fog = new Fog(this.scene.background, 7, 16);
     this.grid.material.color = read("--grid");
-    this.grid.geometry.deleteAttribute("color");
-    this.grid.material.vertexColors = false;
-    this.grid.material.needsUpdate = true;
     this.shade.material.opacity = Number(style.getPropertyValue("--shadow"));
   }
 
@@ -124,4 +120,13 @@ export class Stage {
     if (this.pending) return;
     this.pending = requestAnimationFrame(() => { this.pending = 0; this.renderer.render(this.scene, this.camera); });
   }
+}
+
+/** A square grid every `step` metres, out to `reach` on each side, in short pieces: long lines are badly clipped. */
+function grid(reach, step) {
+  const points = [];
+  for (let at = -reach; at <= reach; at += step) for (let from = -reach; from < reach; from += step) {
+    points.push(at, 0, from, at, 0, from + step, from, 0, at, from + step, 0, at);
+  }
+  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3));
 }

@@ -11,6 +11,10 @@ export class PageState {
       event.preventDefault();
       key(find("key").value);
     });
+    find("rate-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.rateGiven(Number(find("fps").value));
+    });
     this.clear();
   }
 
@@ -35,12 +39,18 @@ export class PageState {
     find("key").focus();
   }
 
+  /** Below an error: the frame rate of the file may be what is missing. */
+  offerRate(given) {
+    this.rateGiven = given;
+    find("rate-form").hidden = false;
+  }
+
   clear() { this.card.hidden = true; }
 
   set(kind, text) {
     this.card.hidden = false;
     this.card.dataset.kind = kind;
     find("state-text").textContent = text;
-    find("key-form").hidden = true;
+    find("key-form").hidden = find("rate-form").hidden = true;
   }
 }

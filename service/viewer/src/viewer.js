@@ -10,7 +10,6 @@ import { MOST, RAMP } from "./strain.js";
 
 const find = (id) => document.getElementById(id);
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
-const JUMP = 8; // frames; a longer step of a live motion is a cut, and the cloth starts anew
 
 class Viewer {
   constructor() {
@@ -102,7 +101,7 @@ class Viewer {
         await clip.load(this.avatar.id, () => { wait = 1; this.arrived(clip); }, signal);
       } catch (error) {
         if (error.name === "AbortError") return;
-        if (!(error instanceof Refusal) || (error.status !== 0 && error.status !== 503)) throw error;
+        if (!(error instanceof Refusal) || ![0, 429, 503].includes(error.status)) throw error;
         const seconds = error.wait ?? wait;
         this.state.gone(`Disconnected: ${error.message} Trying again in ${seconds} s.`);
         await new Promise((done) => setTimeout(done, 1000 * seconds));
@@ -123,7 +122,7 @@ class Viewer {
 
   failed(error, again) {
     if (error instanceof Refusal && error.status === 401) return this.state.askForKey(error.message);
-    if (error instanceof Refusal && (error.status === 0 || error.status === 503)) {
+    if (error instanceof Refusal && [0, 429, 503].includes(error.status)) {
       this.state.gone(`Disconnected: ${error.message} Trying again in ${error.wait ?? 2} s.`);
       return setTimeout(again, 1000 * (error.wait ?? 2));
     }
@@ -132,15 +131,16 @@ class Viewer {
     if (!(error instanceof Refusal)) console.error(error);
   }
 
-  async openFile(file) {
-    const before = this.clip;
+  /** Reads a pose file; `fps` is its true frame rate where the file does not say. */
+  async openFile(file, fps = null) {
     try {
-      await this.run(await this.fetched(() => uploadedMotion(this.avatar.id, file)));
+      await this.run(await this.fetched(() => uploadedMotion(this.avatar.id, file, fps)));
     } catch (error) {
-      if (error instanceof Refusal && error.status) {
+      if (error instanceof Refusal && ![0, 401, 429, 503].includes(error.status)) {
         this.play(false);
-        this.state.error(error.message, { back: Boolean(before), again: false });
-      } else this.failed(error, () => this.openFile(file));
+        this.state.error(error.message, { back: Boolean(this.clip), again: false });
+        if (error.status === 422) this.state.offerRate((rate) => this.openFile(file, rate));
+      } else this.failed(error, () => this.openFile(file, fps));
     }
   }
 
@@ -159,7 +159,7 @@ class Viewer {
   tick(now) {
     this.ticking = 0;
     if (!this.playing) return;
-    const { clip } = this, elapsed = Math.min((now - this.before) / 1000, 0.25);
+    const { clip } = this, elapsed = Math.max(0, Math.min((now - this.before) / 1000, 0.25));
     this.before = now;
     let time = this.time + elapsed * clip.fps * this.speed;
     if (time >= clip.frames - 1) time = clip.frames > 1 ? time % (clip.frames - 1) : 0;
@@ -198,7 +198,7 @@ class Viewer {
     const seconds = (this.time / clip.fps).toFixed(2);
     find("clock").textContent = `${seconds} / ${clip.seconds.toFixed(2)} s`;
     find("scrub").setAttribute("aria-valuetext", `frame ${frame}, ${seconds} seconds`);
-    if (this.live) this.sendLive(frame);
+    if (this.live) this.live.send(frame);
     else if (clip.ready) this.showClip(frame, this.time - frame);
   }
 
@@ -277,21 +277,20 @@ class Viewer {
   }
 
   openLive() {
-    this.lastSent = null;
-    this.live = new Live(this.avatar.id, this.clip.fps, {
+    const away = () => {
+      this.live.away = true;
+      this.state.gone("Disconnected: the live stream broke off. Trying again…");
+    };
+    this.live = new Live(this.avatar.id, this.clip, {
       heard: (frame, garments) => this.heardLive(frame, garments),
-      lost: (text) => { this.live.away = true; this.state.gone(text); },
-      back: () => { this.live.away = false; if (this.state.kind === "gone") this.state.clear(); },
+      lost: away,
+      back: () => {
+        this.live.away = false;
+        if (this.state.kind === "gone") this.state.clear();
+        queueMicrotask(() => this.live?.send(Math.floor(this.time))); // after what the stream has left to send
+      },
+      refused: (text) => { this.goLive(false); this.play(false); this.state.error(text, { back: true, again: false }); },
     });
-    this.sendLive(Math.floor(this.time));
-  }
-
-  sendLive(frame) {
-    if (frame === this.lastSent) return;
-    const step = frame - (this.lastSent ?? frame - 1);
-    if (step < 0 || step > JUMP) this.live.reset();
-    this.lastSent = frame;
-    this.live.send(frame, this.clip.pose(frame), this.clip.place(frame));
   }
 
   heardLive(frame, garments) {
@@ -300,10 +299,10 @@ class Viewer {
     const now = performance.now();
     if (now - (this.figuresRead ?? 0) < 250) return;
     this.figuresRead = now;
-    const { median, most, dropped, sent, rate } = this.live.figures();
+    const { median, most, dropped, due, rate } = this.live.figures();
     find("latency").textContent = `${median.toFixed(1)} ms`;
     find("latency-95").textContent = `${most.toFixed(1)} ms`;
-    find("dropped").textContent = `${dropped} of ${sent}`;
+    find("dropped").textContent = `${dropped} of ${due}`;
     find("rate").textContent = `${rate} / s`;
   }
 
