@@ -3,12 +3,12 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test lint bench challenge bench-diagnosis avatar clean
+.PHONY: demo test lint viewer node-packages bench challenge bench-diagnosis avatar clean
 
 demo: $(VENV)/.demo            ## serve the default avatar, send it a motion, write a GLB and a contact sheet
 	$(BIN)/caphy demo
 
-test: $(VENV)/.dev             ## the whole test suite
+test: $(VENV)/.dev $(VENV)/.node  ## the whole test suite; the viewer's tests need chromium and node (.ci/run installs them)
 	$(BIN)/pytest
 
 lint: $(VENV)/.dev             ## ruff, pyright and the import layers
@@ -19,6 +19,11 @@ lint: $(VENV)/.dev             ## ruff, pyright and the import layers
 
 bench: $(VENV)/.dev            ## latency, HTTP, training and solver figures, as ratios measured in one run
 	$(BIN)/python -m benchmarks
+
+viewer: $(VENV)/.node          ## build the page's static files from service/viewer/src again
+	node service/viewer/build.mjs $(VENV)/node
+
+node-packages: $(VENV)/.node   ## esbuild and three.js for the page, the Khronos validator for the tests
 
 SEED ?= 1
 challenge: $(VENV)/.dev        ## make data with a hidden effect, diagnose them, open the sealed answer
@@ -57,6 +62,12 @@ $(VENV)/.demo: $(VENV)/.python pyproject.toml
 $(VENV)/.dev: $(VENV)/.python pyproject.toml
 	$(BIN)/pip install --quiet torch==2.13.0
 	$(BIN)/pip install --quiet --editable '.[dev]'
+	touch $@
+
+$(VENV)/.node: $(VENV)/.python service/viewer/package.json
+	mkdir -p $(VENV)/node
+	cp service/viewer/package.json $(VENV)/node/
+	npm install --prefix $(VENV)/node --no-package-lock --no-audit --no-fund --silent
 	touch $@
 
 clean:

@@ -11,6 +11,7 @@ export class Live {
   constructor(avatar, clip, { heard, lost, back, refused }) {
     Object.assign(this, { clip, heard });
     this.latencies = [];
+    this.services = [];
     this.arrivals = [];
     this.due = this.seen = 0; // frames of the motion so far, and those of them that came
     this.frameOf = new Map(); // by the number of their pose
@@ -39,22 +40,23 @@ export class Live {
     this.last = frame;
   }
 
-  take({ number, frames, garments }) {
+  take({ number, frames, garments, milliseconds }) {
     const frame = this.frameOf.get(number);
     for (const sent of this.frameOf.keys()) if (sent <= number) this.frameOf.delete(sent);
     if (frame === undefined || this.closed) return;
-    this.note(frame);
+    this.note(frame, milliseconds);
     this.heard(frame, Object.entries(garments).map(([name, { vertices }]) => [name, vertices.subarray(vertices.length - vertices.length / frames)]));
   }
 
-  note(frame) {
+  note(frame, milliseconds) {
     const now = performance.now(), step = frame - (this.before ?? frame - 1);
     this.due += Math.max(step, 1);
     this.seen += 1;
     this.before = frame;
     this.latencies.push(this.stream.latency);
+    this.services.push(milliseconds);
     this.arrivals.push(now);
-    if (this.latencies.length > REMEMBERED) this.latencies.shift();
+    if (this.latencies.length > REMEMBERED) { this.latencies.shift(); this.services.shift(); }
     while (this.arrivals[0] < now - 1000) this.arrivals.shift();
   }
 
@@ -63,10 +65,16 @@ export class Live {
     this.stream.close();
   }
 
-  /** Median and 95th percentile of latency [ms], frames dropped of those due, meshes that came in the last second. */
+  /** Latency, median and 95th percentile, and the service's own part of it [ms]; frames dropped of those due; meshes
+   * that came within the last second. */
   figures() {
-    const sorted = [...this.latencies].sort((a, b) => a - b);
-    const at = (share) => sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)];
-    return { median: at(0.5), most: at(0.95), dropped: this.due - this.seen, due: this.due, rate: this.arrivals.length };
+    const { latencies, services, due, seen, arrivals } = this;
+    const [median, most, service] = [quantile(latencies, 0.5), quantile(latencies, 0.95), quantile(services, 0.5)];
+    return { median, most, service, dropped: due - seen, due, rate: arrivals.length };
   }
+}
+
+function quantile(values, share) {
+  const sorted = [...values].sort((a, b) => a - b);
+  return sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)];
 }

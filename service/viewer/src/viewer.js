@@ -299,9 +299,9 @@ class Viewer {
     const now = performance.now();
     if (now - (this.figuresRead ?? 0) < 250) return;
     this.figuresRead = now;
-    const { median, most, dropped, due, rate } = this.live.figures();
-    find("latency").textContent = `${median.toFixed(1)} ms`;
-    find("latency-95").textContent = `${most.toFixed(1)} ms`;
+    const { median, most, service, dropped, due, rate } = this.live.figures();
+    find("latency").textContent = `${brief(median)}, ${brief(most)} ms`;
+    find("service").textContent = `${brief(service)} ms`;
     find("dropped").textContent = `${dropped} of ${due}`;
     find("rate").textContent = `${rate} / s`;
   }
@@ -346,6 +346,8 @@ class Viewer {
     });
   }
 }
+
+const brief = (milliseconds) => milliseconds.toFixed(milliseconds < 20 ? 1 : 0);
 
 function openStage() {
   try {

@@ -1,4 +1,4 @@
-/* built from sources e62cf168be25838f91693478cf721ff7eb71ce7b2be09c561e8bfb95cd4d624b */
+/* built from sources 76fdec7476ea5713c3d10831d8d1d5a81ece04124abe4ce60de2e79292959e25 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
