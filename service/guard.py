@@ -15,6 +15,7 @@ from typing import Final, TypeVar
 import anyio
 import anyio.to_thread
 from fastapi import Request
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.metrics import Metrics
@@ -155,6 +156,8 @@ class Hold:
                         )
                     self.reserve(len(chunk))
                     body += chunk
+        except ClientDisconnect:
+            raise Problem(400, "the client was gone before its body was there") from None
         except TimeoutError:
             self.guard.metrics.refused.labels("slow_body").inc()
             raise Problem(

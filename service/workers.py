@@ -79,8 +79,7 @@ class Workers:
 
         Raises CaphyError where the first worker ends before it is ready.
         """
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._stop)
+        handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
         folder = _metrics_folder()
         os.environ[SHARED_FOLDER] = str(folder)
         try:
@@ -91,6 +90,8 @@ class Workers:
         finally:
             self._end_all()
             shutil.rmtree(folder, ignore_errors=True)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self._stopping = True

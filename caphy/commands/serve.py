@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging.config
+import signal
 import socket
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,6 +58,7 @@ def _serve(settings: Settings) -> None:
     app.state.library.load()
     listener = listen(settings)
     _say(settings, listener, make_report(app.state.library.avatars))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # uvicorn finishes its work, then hands the signal on
     make_server(app, settings).run(sockets=[listener])
 
 
