@@ -6,6 +6,7 @@ Needs the ``usd-core`` package (pip install 'caphy[usd]').
 from __future__ import annotations
 
 import contextlib
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +25,15 @@ def write_usd(motion: DressedMotion, path: Path) -> Path:
 
     Raises CaphyError where usd-core is not installed, or the name does not end in .usdc, .usda or .usd.
     """
-    Usd, UsdGeom = _pxr()
+    usd = _pxr("Usd")
     if path.suffix not in SUFFIXES:
         raise CaphyError(f"{path}: a USD file's name must end in {', '.join(SUFFIXES)}")
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     partial.unlink(missing_ok=True)
     try:
-        stage = Usd.Stage.CreateNew(str(partial))
-        _describe(stage, motion, UsdGeom)
+        stage = usd.Stage.CreateNew(str(partial))
+        _describe(stage, motion)
         colours = [SKIN, *(CLOTH * len(motion.bundle.garments))]
         for (name, mesh, vertices), colour in zip(motion.meshes(), colours, strict=False):
             _add_mesh(stage, name, mesh, vertices, colour)
@@ -45,15 +46,16 @@ def write_usd(motion: DressedMotion, path: Path) -> Path:
     return path
 
 
-def _pxr() -> tuple[Any, Any]:
+def _pxr(name: str) -> Any:
+    """A module of usd-core."""
     try:
-        from pxr import Usd, UsdGeom
+        return import_module(f"pxr.{name}")
     except ModuleNotFoundError:
         raise CaphyError("USD needs the usd-core package; install it with: pip install 'caphy[usd]'") from None
-    return Usd, UsdGeom
 
 
-def _describe(stage: Any, motion: DressedMotion, geometry: Any) -> None:
+def _describe(stage: Any, motion: DressedMotion) -> None:
+    geometry = _pxr("UsdGeom")
     geometry.SetStageUpAxis(stage, geometry.Tokens.y)
     geometry.SetStageMetersPerUnit(stage, 1.0)
     fps = motion.bundle.fps
@@ -67,18 +69,17 @@ def _describe(stage: Any, motion: DressedMotion, geometry: Any) -> None:
 
 
 def _add_mesh(stage: Any, name: str, mesh: SkinnedMesh, vertices: np.ndarray, colour: Any) -> None:
-    from pxr import Gf, Tf, UsdGeom, Vt
-
-    place = f"/avatar/{Tf.MakeValidIdentifier(name)}"
+    gf, vt, geometry = _pxr("Gf"), _pxr("Vt"), _pxr("UsdGeom")
+    place = f"/avatar/{_pxr('Tf').MakeValidIdentifier(name)}"
     while stage.GetPrimAtPath(place):  # a-b and a_b are one identifier
         place += "_"
-    prim = UsdGeom.Mesh.Define(stage, place)
-    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim = geometry.Mesh.Define(stage, place)
+    prim.CreateSubdivisionSchemeAttr(geometry.Tokens.none)
     prim.CreateDoubleSidedAttr(True)
-    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
-    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.ravel(), np.int32)))
-    prim.CreateDisplayColorAttr([Gf.Vec3f(*(float(c) for c in colour))])
+    prim.CreateFaceVertexCountsAttr(vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    prim.CreateFaceVertexIndicesAttr(vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.ravel(), np.int32)))
+    prim.CreateDisplayColorAttr([gf.Vec3f(*(float(c) for c in colour))])
     points, extent = prim.CreatePointsAttr(), prim.CreateExtentAttr()
     for frame, posed in enumerate(vertices):
-        points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(posed, np.float32)), frame)
-        extent.Set([Gf.Vec3f(*posed.min(axis=0).tolist()), Gf.Vec3f(*posed.max(axis=0).tolist())], frame)
+        points.Set(vt.Vec3fArray.FromNumpy(np.ascontiguousarray(posed, np.float32)), frame)
+        extent.Set([gf.Vec3f(*posed.min(axis=0).tolist()), gf.Vec3f(*posed.max(axis=0).tolist())], frame)

@@ -21,7 +21,8 @@ globalThis.self = globalThis;
 const [three, glb, mesh, out, frame, weights] = process.argv.slice(1);
 const { AnimationMixer, GLTFLoader, Vector3 } = await import(three);
 const bytes = readFileSync(glb);
-const gltf = await new GLTFLoader().parseAsync(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length), "");
+const buffer = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length);
+const gltf = await new GLTFLoader().parseAsync(buffer, "");
 if (gltf.animations.length) {
   const mixer = new AnimationMixer(gltf.scene);
   mixer.clipAction(gltf.animations[0]).play();
@@ -31,8 +32,11 @@ const found = gltf.scene.getObjectByName(mesh);
 if (weights) JSON.parse(weights).forEach((weight, i) => { found.morphTargetInfluences[i] = weight; });
 gltf.scene.updateMatrixWorld(true);
 found.skeleton.update();
-const count = found.geometry.attributes.position.count, points = new Float32Array(3 * count), point = new Vector3();
-for (let i = 0; i < count; i++) found.getVertexPosition(i, point).applyMatrix4(found.matrixWorld).toArray(points, 3 * i);
+const count = found.geometry.attributes.position.count;
+const points = new Float32Array(3 * count), point = new Vector3();
+for (let i = 0; i < count; i++) {
+  found.getVertexPosition(i, point).applyMatrix4(found.matrixWorld).toArray(points, 3 * i);
+}
 writeFileSync(out, points);
 """
 
