@@ -56,12 +56,13 @@ def read_graph(content: bytes) -> Graph:
 
 
 def with_output(content: bytes, tensor: str) -> bytes:
-    """The ONNX file with ``tensor``, of float32, as one more output of its graph.
+    """The ONNX file with ``tensor``, float32 with two axes, as one more output of its graph.
 
     Protocol buffers of one kind that follow each other are merged, so nothing needs to be parsed.
     """
-    float32 = _field(1, _field(1, 1))  # TypeProto.tensor_type.elem_type
-    value = _field(1, tensor.encode()) + _field(2, float32)
+    unknown = _field(2, 2 * _field(1, b""))  # TypeProto.Tensor.shape: two dimensions of any length
+    float32 = _field(1, 1) + unknown  # TypeProto.Tensor.elem_type
+    value = _field(1, tensor.encode()) + _field(2, _field(1, float32))
     return content + _field(_GRAPH, _field(_OUTPUT, value))
 
 
