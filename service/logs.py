@@ -33,14 +33,15 @@ class JsonLines(logging.Formatter):
 
 
 def log_config(level: str) -> dict[str, Any]:
-    """For :func:`logging.config.dictConfig`: the service's own words from ``level`` up, uvicorn's from warnings up."""
+    """For :func:`logging.config.dictConfig`: the service's own words from ``level`` up, all others' from warnings up."""
     return {
         "version": 1,
         "disable_existing_loggers": False,
         "formatters": {"json": {"()": "service.logs.JsonLines"}},
         "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "json", "stream": "ext://sys.stderr"}},
+        "root": {"handlers": ["stderr"], "level": "WARNING"},
         "loggers": {
-            "caphy": {"handlers": ["stderr"], "level": level.upper(), "propagate": False},
-            "uvicorn": {"handlers": ["stderr"], "level": "WARNING", "propagate": False},
+            "caphy": {"level": level.upper()},
+            "uvicorn": {"level": "WARNING"},
         },
     }

@@ -39,7 +39,10 @@ class LiveService:
     def logged(self) -> list[dict[str, Any]]:
         """Lines of its log so far; any that is not JSON fails."""
         self.log.seek(0)
-        return [json.loads(line) for line in self.log.read().splitlines()]
+        lines = self.log.read().decode().splitlines()
+        strange = [line for line in lines if not line.startswith("{")]
+        assert strange == [], strange
+        return [json.loads(line) for line in lines]
 
     def count(self, message: str) -> int:
         """How often its log says ``message``."""
