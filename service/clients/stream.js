@@ -294,7 +294,7 @@ export class GarmentStream {
         this.onstatus("open");
         this.onwelcome(message);
         for (const { body } of this.#unsaved) this.#socket.send(body);
-        if (this.#asked.length) this.#socket.send(encodeGetState());
+        if (this.#unsaved.length || this.#asked.length) this.#socket.send(encodeGetState());
         break;
       case Kind.MESHES:
         this.skipped = message.skipped;

@@ -195,7 +195,8 @@ class StreamClient:
         self.reconnections += 1
         self._socket = self._connect()
         for message in self._unsaved:
-            self._socket.send(encode_client(message))
+            self._send(encode_client(message))
+        self._send(encode_client(GetState()))
 
     def _connect(self) -> ClientConnection:
         """A connection on which hello was said with the state there is."""
@@ -205,7 +206,8 @@ class StreamClient:
         end, wait = time.monotonic() + self._patience, 0.05
         while True:
             try:
-                socket = connect(self._address, compression=None, additional_headers=self._headers, max_size=None)
+                opening = connect(self._address, compression=None, additional_headers=self._headers, max_size=None)
+                socket = opening.__enter__()  # and not with: the stream outlives this method
                 socket.send(encode_client(hello))
                 self._decoder = ServerDecoder(hello.encoding, hello.normals)
                 message = self._decoder.decode(socket.recv(timeout=10, decode=False))

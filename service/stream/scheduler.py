@@ -59,7 +59,7 @@ class Scheduler:
             while self._ready:
                 batch = self._gather()
                 if batch:
-                    self._deliver(batch, await loop.run_in_executor(self._thread, _compute, batch))
+                    self._deliver(batch, await loop.run_in_executor(self._thread, compute, batch))
         finally:
             self._running = None
 
@@ -69,7 +69,7 @@ class Scheduler:
         batch = []
         for member in ready:
             try:
-                job = _next_job(member)
+                job = next_job(member)
             except Exception as error:  # one stream's end, not the others'
                 member.fail(error)
                 continue
@@ -87,7 +87,8 @@ class Scheduler:
                     member.send(message)
 
 
-def _next_job(member: Member) -> Job | None:
+def next_job(member: Member) -> Job | None:
+    """What is to be computed for a stream; messages that need no computing are sent at once."""
     while True:
         job = member.session.next_job(member.free())
         if not isinstance(job, bytes):
@@ -95,7 +96,7 @@ def _next_job(member: Member) -> Job | None:
         member.send(job)
 
 
-def _compute(batch: list[tuple[Member, Job]]) -> list[bytes | Exception | None]:
+def compute(batch: list[tuple[Member, Job]]) -> list[bytes | Exception | None]:
     """The message to send for every job, or none, or what went wrong; in the scheduler's thread."""
     try:
         found = run_batch([(member.session, job) for member, job in batch])

@@ -67,13 +67,17 @@ class Restart:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Poses to live (N, 55, 3), and which of them to show: all from ``shown`` on, as the answer to ``answered``."""
+    """Poses to live (N, 55, 3), and which of them to show: all from ``shown`` on, as the answer to ``answered``.
+
+    kept: the answer waits for a credit.
+    """
 
     poses: np.ndarray
     transl: np.ndarray
     shown: int
     number: int
     answered: Ticks | None
+    kept: bool = False
 
 
 class Session:
@@ -97,6 +101,7 @@ class Session:
         self._frames = 0
         self._queue: deque[Ticks | Restart | GetState] = deque()
         self._poses_waiting = 0
+        self._kept: bytes | None = None
         self._clock = CausalClock(self.fps, _checked_rate(hello.fps), limits.max_frames)
         self._add_credits(hello.credits)
 
@@ -134,10 +139,13 @@ class Session:
         ``free``: whether a message could be sent at once; where not, nothing is answered.
         """
         self._forget_before_reset()
+        if (kept := self._kept_answer(free)) is not None:
+            return kept
         while self._queue:
             first = self._queue[0]
             if isinstance(first, Restart):
                 self._queue.popleft()
+                self._drop_kept()
                 self.states, self._tick, self._number = self._first_states(np.zeros(0)), 0, first.number
             elif isinstance(first, GetState):
                 return self._state_message(first) if free else None
@@ -153,7 +161,25 @@ class Session:
             return None
         taken = 1e3 * (perf_counter() - job.answered.arrived)
         message = Dressed(job.number, self.skipped, job.answered.time, self._tick - meshes.frames, taken, meshes)
-        return b"".join(encode_meshes_message(message, self.wanted.encoding))
+        body = b"".join(encode_meshes_message(message, self.wanted.encoding))
+        if not job.kept:
+            return body
+        self._kept = body
+        return None
+
+    def _kept_answer(self, free: bool) -> bytes | None:
+        """The answer that waited for a credit, if there is one now and nothing newer came."""
+        if self._kept is not None and self._poses_waiting:
+            self._drop_kept()
+        if self._kept is None or not free or not self._credits:
+            return None
+        kept, self._kept = self._kept, None
+        self._credits -= 1
+        return kept
+
+    def _drop_kept(self) -> None:
+        self.skipped += self._kept is not None
+        self._kept = None
 
     def _take_poses(self, message: Poses) -> None:
         frames.require_bounded(FramesRequest(message.poses, message.transl, self.fps, np.zeros(0)))
@@ -207,8 +233,11 @@ class Session:
         while self._may_skip(available) and count < self.limits.max_frames:
             lived.append(self._pop())
             count += len(lived[-1].poses)
-        self.skipped += len(lived)
         answered = None
+        kept = not available and bool(lived) and not self._poses_waiting
+        if kept:  # the state was asked for: the newest poses are lived, and still wait for their credit
+            answered = lived[-1]
+        self.skipped += len(lived) - kept
         if available and self._poses_waiting <= available and self._queue and isinstance(self._queue[0], Ticks):
             answered = self._pop()
             lived.append(answered)
@@ -218,7 +247,7 @@ class Session:
         poses = lived[0].poses if len(lived) == 1 else np.concatenate([item.poses for item in lived])
         transl = lived[0].transl if len(lived) == 1 else np.concatenate([item.transl for item in lived])
         shown = len(poses) - (len(answered.poses) if answered else 0)
-        return Job(poses, transl, shown, lived[-1].number, answered)
+        return Job(poses, transl, shown, lived[-1].number, answered, kept)
 
     def _may_skip(self, available: int) -> bool:
         """Whether the first in the queue are poses that will not be answered and must not wait."""
@@ -226,7 +255,7 @@ class Session:
             return False
         if available:
             return self._poses_waiting > available
-        follows = any(not isinstance(item, Ticks) for item in self._queue)
+        follows = not self._credits and any(not isinstance(item, Ticks) for item in self._queue)
         return follows or (self._frames > HELD_FRAMES and self._poses_waiting > 1)
 
     def _pop(self) -> Ticks:

@@ -13,7 +13,7 @@ from service.encodings import Encoding
 from service.stream.clock import CausalClock
 from service.stream.limits import StreamLimits
 from service.stream.messages import Credit, Dressed, GetState, Hello, Poses, Rate, Reset, ServerDecoder, State
-from service.stream.scheduler import Member, _compute, _next_job
+from service.stream.scheduler import Member, compute, next_job
 from service.stream.session import QUEUE, Session
 
 
@@ -48,8 +48,8 @@ class Client:
     def run(self, free: bool = True) -> list[Dressed | State]:
         """Everything that the server says now."""
         self.member.free = lambda: free
-        while job := _next_job(self.member):
-            (message,) = _compute([(self.member, job)])
+        while job := next_job(self.member):
+            (message,) = compute([(self.member, job)])
             assert not isinstance(message, Exception), message
             if message is not None:
                 self.sent.append(message)
@@ -122,6 +122,16 @@ def test_a_reader_that_takes_nothing_holds_no_more_than_a_few_frames(avatar, mot
     assert client.session.skipped > 500
 
 
+def test_a_state_asked_for_skips_nothing_that_has_a_credit(avatar, motion):
+    client = Client(avatar, credits=5)
+    for frame in range(3):
+        client.send(motion, frame)
+    client.session.take(GetState())
+    assert client.run(free=False) == []
+    assert [message.number for message in client.run()] == [1, 2, 3, 3]
+    assert client.session.skipped == 0
+
+
 def test_credits_are_capped(avatar, motion):
     client = Client(avatar, credits=65535)
     client.session.take(Credit(2**32 - 1))
@@ -175,6 +185,27 @@ def test_poses_before_a_reset_are_not_computed(avatar, motion, whole):
     (answer,) = client.run()
     same(answer, whole, 0)
     assert answer.skipped == 1
+
+
+def test_the_newest_poses_wait_for_their_credit_though_the_state_was_asked_for(avatar, motion, whole):
+    client = Client(avatar, credits=0)
+    for frame in range(5):
+        client.send(motion, frame)
+    client.session.take(GetState())
+    (state,) = client.run()
+    assert (state.number, client.session.skipped) == (5, 4)
+    client.session.take(Credit(1))
+    (answer,) = client.run()
+    assert (answer.tick, answer.number) == (4, 5)
+    same(answer, whole, 4)
+    client.send(motion, 5)
+    client.session.take(GetState())
+    client.run()
+    client.send(motion, 6)  # newer poses replace what is kept
+    client.session.take(Credit(1))
+    (answer,) = client.run()
+    assert (answer.tick, answer.skipped) == (6, 5)
+    same(answer, whole, 6)
 
 
 @pytest.mark.parametrize("fps", [24.0, 25.0, 60.0, 120.0, 29.97])
