@@ -76,7 +76,7 @@ ONE: Mapping[str, Hidden] = {
         _one("wind_normal", "wind_normal_quadratic", coefficient=0.1, push=(0.06, 0.0, 0.04)),
         _one("wind_normal_quadratic", "wind_normal", coefficient=0.1, velocity=(0.7, 0.0, 0.5)),
         _one("wind_tangential", "wind_tangential_quadratic", coefficient=0.2, push=(0.2, 0.0, 0.2)),
-        _one("gust", cosine=(0.08, 0.0, 0.05), sine=(0.05, 0.0, -0.08), frequency=1.2),
+        _one("gust", cosine=(0.13, 0.0, 0.08), sine=(0.08, 0.0, -0.13), frequency=1.2),
         _one("uniform_acceleration", "wind_tangential", acceleration=(0.2, 0.0, 0.15)),
         _one("pressure", pressure=0.05),
         _one("mass_damping", "air_drag_tangential", "air_drag_normal", rate=0.6),
@@ -85,14 +85,14 @@ ONE: Mapping[str, Hidden] = {
         _one("shear_stiffness", stiffness=40.0),
         _one("shrinkage", "shrinkage_directional", fraction=0.03),
         _one("extra_bending", "bending_anisotropy", stiffness=6e-5),
-        _one("bending_anisotropy", "extra_bending", difference=4e-5),
+        _one("bending_anisotropy", "extra_bending", difference=5.5e-5),
         _one("natural_curvature", weft=12.0, warp=4.0),
         _one("added_mass", "extra_mass", density=0.06),
         _one("mass_gradient", "heavy_hem", gradient=0.4),
-        _one("heavy_hem", "mass_gradient", "extra_mass", line_density=(0.008, 0.0, 0.0, 0.0)),
-        _one("seam_tension", "shrinkage", "shrinkage_directional", tension=(0.2, 0.0, 0.0, 0.0)),
-        _one("body_friction", coefficient=0.4),
-        _one("contact_thickness", thickness=0.006),
+        _one("heavy_hem", "mass_gradient", "extra_mass", line_density=(0.004, 0.0, 0.0, 0.0)),
+        _one("seam_tension", "shrinkage", "shrinkage_directional", tension=(0.05, 0.0, 0.0, 0.0)),
+        _one("body_friction", coefficient=0.5),
+        _one("contact_thickness", thickness=0.012),
     )
 }
 """Single effects."""

@@ -20,7 +20,7 @@ from caphy.garment.topology import face_areas
 from caphy.io.measurements import Measurement
 from caphy.solve.integrators import State
 
-REVISION = 1
+REVISION = 2
 """Raised whenever the same arguments give another motion, so that no older film is taken from a cache."""
 
 
@@ -64,7 +64,7 @@ def _simulated(stage: Stage, play: Play, hidden: Hidden, frames: int) -> np.ndar
 
 def _key(stage: Stage, hidden: Hidden, seed: int, frames: int) -> str:
     effects = {n: {k: np.asarray(v).tolist() for k, v in values.items()} for n, values in hidden.effects.items()}
-    said = [REVISION, stage.name, effects, hidden.outside, hidden.same_mesh, seed, frames, stage.model.to_json()]
+    said = [REVISION, stage.name, effects, hidden.outside, stage.truth is stage.user, seed, frames, stage.model.to_json()]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:20]
 
 

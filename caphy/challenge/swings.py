@@ -32,7 +32,7 @@ class Swing:
 
 TRAINING = (
     Swing(0, (0.03, 0.01, 0.06), 8, (0.5, 1.6)),
-    Swing(100, (0.05, 0.01, 0.03), 18, (0.5, 1.6)),
+    Swing(100, (0.05, 0.01, 0.03), 18, (0.5, 1.6), ball=True),
     Swing(220, (0.02, 0.02, 0.04), 10, (0.5, 1.4), ball=True),
 )
 HELD_OUT = (Swing(310, (0.04, 0.03, 0.05), 14, (0.8, 1.8)),)
@@ -76,7 +76,7 @@ def ball_path(swing: Swing, random: np.random.Generator) -> Path:
     height, side = random.uniform(0.1, 0.2), random.uniform(-0.06, 0.06)
 
     def centre(time: float) -> np.ndarray:
-        depth = -0.18 + 0.15 * np.sin(2 * np.pi * (time / period - phase))
+        depth = -0.15 + 0.15 * np.sin(2 * np.pi * (time / period - phase))
         return np.array([side, height, depth]) @ about_vertical(swing.facing).T
 
     return centre

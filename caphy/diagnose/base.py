@@ -1,17 +1,35 @@
-"""What base measurements give: parameters, and what is left where nothing is missing."""
+"""What base measurements give: parameters, what mesh and solver get wrong, and what is left where nothing is missing.
+
+A mesh is coarser than the cloth: it locks, it is shorter along its folds, it damps. In the columns of the library such
+errors look like effects (a shrinkage of 0.2 %, some viscosity), the same in every motion, and they are larger than
+many an effect worth finding. Base measurements, in which nothing is missing, tell how much of each column they look
+like; that much is taken from the residuals of all later measurements. It is the discrepancy of Kennedy and O'Hagan (J.
+R. Stat. Soc. B 63, 2001) in a basis of physical effects, told from data of its own.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from caphy.diagnose.outside import outside
-from caphy.diagnose.search import search
+from caphy.diagnose.flexible import flexible_gains
+from caphy.diagnose.groups import Group, columns_of, library, own_groups
+from caphy.diagnose.probes import probes_of
+from caphy.diagnose.screen import screened
 from caphy.effects.model import Model
-from caphy.refit.study import Study
+from caphy.refit.columns import Column, moved
+from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
+from caphy.refit.responses import Response
+from caphy.refit.study import Study, picked
 
-_MOST = 2  # corrections
+RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""How much corrections may be shrunk, in units of what the data say of each alone; windows left out choose."""
+
+_FAR = 0.3  # relative change of a parameter beyond which roll-outs must tell: stiffness does not act linearly
+_STEP = -0.5, 1.0  # at most at a time
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,31 +37,102 @@ class Base:
     """Learned from base measurements.
 
     Attributes:
-        model: with what they ask for: parameters fitted, and effects that stand for what the mesh and the solver get
-            wrong. Nothing is missing there, so an effect that they seem to need is such a correction.
-        changed: fitted numbers, by "effect.parameter"; relative changes of the user's own parameters. Empty where the
-            user's model was good.
-        gain: best gain of the library after that.
-        probes: best gain of flexible forces after that.
+        model: with parameters moved to where they asked for, if that was far.
+        changed: by how much in all, relatively, by "effect.parameter".
+        correction: how much of each column, by name, stands for what mesh and solver get wrong.
+        mistaken: gain of each explanation, by label, before any correction: how much mesh and solver look like it.
+        gain: best gain of the library in windows corrected by all the others.
+        probes: best gain of flexible forces there.
         variance: what is left in each mode at each lag (L, M) [m^2].
         median_mm: median distance there.
     """
 
     model: Model
     changed: dict[str, float]
+    correction: Mapping[str, float]
+    mistaken: Mapping[str, float]
     gain: float
     probes: float
     variance: np.ndarray
     median_mm: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """All windows against one model, and the corrections (K,) that they ask for."""
+
+    groups: tuple[Group, ...]
+    columns: tuple[Column, ...]
+    places: dict[str, list[int]]
+    probed: list[Response]
+    variance: np.ndarray
+    known: Evidence
+    ridge: float
+
+    @property
+    def change(self) -> np.ndarray:
+        return ridged(*self.known.normal, self.ridge)
+
+
 def from_base(study: Study, model: Model, on_body: bool) -> Base:
-    """Correct a model by base measurements, then see what the library would wrongly find there."""
-    found = search(study, model, model, on_body, most=_MOST)
-    last, changed = found.screens[-1], {}
-    if found.fit is not None:
-        changed = dict(zip([c.name for c in found.fit.columns], map(float, found.fit.change), strict=True))
-    errors = np.concatenate([response.error.ravel() for response in last.responses])
-    best = max([score.gain for score in last.scores] + [0.0])
-    flexible = max([0.0, *outside(found).gains.values()])
-    return Base(found.model, changed, best, flexible, last.variance, 1e3 * float(np.nanmedian(errors)))
+    """Learn what a model gets wrong where nothing is missing."""
+    changed: dict[str, float] = {}
+    look = _looked(study, model, on_body)
+    for _ in range(_ROUNDS):
+        step = _far(look)
+        if not step.any():
+            break
+        for column, by in zip(look.columns, map(float, step), strict=True):
+            if by:
+                changed[column.name] = (1 + changed.get(column.name, 0.0)) * (1 + by) - 1
+        model = moved(model, look.columns, step)
+        look = _looked(study, model, on_body)
+    gain, probes = _gains_left(look, model)
+    errors = np.concatenate([response.error.ravel() for response in look.probed])
+    correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
+    mistaken = {s.group.label: s.gain for s in screened(look.known, look.groups, look.places, model)}
+    median_mm = 1e3 * float(np.nanmedian(errors))
+    return Base(model, changed, correction, mistaken, gain, probes, look.variance, median_mm)
+
+
+def _looked(study: Study, model: Model, on_body: bool) -> _Look:
+    groups = (*own_groups(model, model), *library(model, on_body))
+    columns, places = columns_of(groups)
+    probed = study.respond(model, columns, None, "base measurements", probes_of(model))
+    responses = picked(probed, range(len(columns)))
+    variance = study.variance(responses)
+    known = evidence(responses, variance)
+    known = replace(known, weight=robust_weights(known))
+    ridge = min(RIDGES, key=lambda each: float(known.misfit(np.array(_left_out(known, each))).sum()))
+    return _Look(groups, columns, places, probed, variance, known, ridge)
+
+
+def _gains_left(look: _Look, model: Model) -> tuple[float, float]:
+    """The best gains of the library and of flexible forces in windows corrected by all the others."""
+    count = len(look.columns)
+    apart = [_corrected(r, c) for r, c in zip(look.probed, _left_out(look.known, look.ridge), strict=True)]
+    held = evidence(picked(apart, range(count)), look.variance, look.known.weight)
+    rest = range(count, look.probed[0].columns.shape[-1])
+    flexible = flexible_gains(evidence(picked(apart, rest), look.variance, look.known.weight))
+    scores = screened(held, look.groups, look.places, model)
+    best = max([0.0, *(score.gain for score in scores if not score.group.own)])
+    return best, max([0.0, *flexible.values()])
+
+
+def _far(look: _Look) -> np.ndarray:
+    """The changes (K,) of the model's own parameters where one of them is large, else none."""
+    own = np.array([column.entry is None for column in look.columns])
+    step = np.where(own, np.clip(look.change, *_STEP), 0.0)
+    return step if (np.abs(step) > _FAR).any() else 0 * step
+
+
+def _left_out(known: Evidence, ridge: float) -> list[np.ndarray]:
+    """The corrections (K,) told by all windows but each."""
+    normal, right = known.normal
+    return [
+        ridged(normal - w * a, right - w * b, ridge) for w, a, b in zip(known.weight, known.a, known.b, strict=True)
+    ]
+
+
+def _corrected(response: Response, change: np.ndarray) -> Response:
+    return replace(response, residual=response.residual - response.columns[..., : len(change)] @ change)

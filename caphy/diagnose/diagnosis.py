@@ -12,6 +12,7 @@ from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
 from caphy.diagnose.base import Base, from_base
 from caphy.diagnose.checks import check_cloth
+from caphy.diagnose.groups import columns_of
 from caphy.diagnose.outside import Outside, outside
 from caphy.diagnose.search import Search, search
 from caphy.effects.model import Model
@@ -24,8 +25,9 @@ from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import half_widths
 from caphy.refit.study import Progress, Study
 
-NOT_WORSE = 0.97
-"""The held-out error must fall at least to this share of what it was, or what was found is taken back."""
+PROVEN = 1 / 3
+"""Of the share of the misfit that what was found takes away where it was fitted: what it must take away of the misfit
+of held-out measurements, or it is taken back."""
 
 
 @dataclass(frozen=True)
@@ -144,12 +146,15 @@ def diagnose(
     if calm:
         known = from_base(Study(scenes[count:more], progress=progress), model, on_body)
     start = model if known is None else known.model
-    found = search(
-        study, start, model, on_body, None if known is None else known.gain, None if known is None else known.variance
-    )
+    found = search(study, start, model, on_body, known)
     errors = None
     if held_out and found.terms:
-        errors = held_out_errors(scenes[more:], start, found.model, found.screens[0].variance, progress)
+        columns, _ = columns_of(found.screens[0].groups)
+        expected = None if known is None else known.correction
+        variance = found.screens[0].variance
+        errors = held_out_errors(
+            scenes[more:], start, found.model, variance, progress, () if known is None else columns, expected
+        )
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
 
@@ -165,11 +170,12 @@ def _concluded(
 ) -> Diagnosis:
     first, notes = found.screens[0], []
     terms = found.terms
-    if terms and errors is not None and errors.after_mm > NOT_WORSE * errors.before_mm:
+    taken = 0.0 if found.fit is None else 1 - found.fit.misfit / first.misfit
+    if terms and errors is not None and errors.share < PROVEN * taken:
         names = ", ".join(term.group.label for term in terms)
         notes.append(
-            f"{names} was taken back: on held-out measurements the median error went from {errors.before_mm:.2f} to "
-            f"{errors.after_mm:.2f} mm"
+            f"{names} was taken back: it takes away {100 * taken:.0f} % of the misfit where it was fitted, and "
+            f"{100 * errors.share:.0f} % on held-out measurements"
         )
         terms = []
     verdict = "nothing"

@@ -28,10 +28,20 @@ def figures(diagnosis: Diagnosis) -> dict:
         "median_mm": {"before": diagnosis.median_mm[0], "after": diagnosis.median_mm[1], "noise": diagnosis.noise_mm},
         "held_out": None
         if held is None
-        else {"before_mm": held.before_mm, "after_mm": held.after_mm, "noise_mm": held.floor_mm},
+        else {
+            "before_mm": held.before_mm,
+            "after_mm": held.after_mm,
+            "noise_mm": held.floor_mm,
+            "share_of_misfit_gone": held.share,
+        },
         "base": None
         if base is None
-        else {"gain": base.gain, "median_mm": base.median_mm, "parameters_changed": base.changed},
+        else {
+            "gain": base.gain,
+            "median_mm": base.median_mm,
+            "parameters_changed": base.changed,
+            "correction": dict(base.correction),
+        },
         "probes": diagnosis.outside.gains,
         "library_gain": diagnosis.outside.library,
         "ranking": [
@@ -72,7 +82,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
         said.append(f"On held-out measurements it falls from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
     if diagnosis.base is not None and diagnosis.base.changed:
         moved = ", ".join(f"{name} {by:+.2g}" for name, by in diagnosis.base.changed.items())
-        said.append(f"The base measurements corrected the model beforehand (mesh, solver, parameters): {moved}.")
+        said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
     return said + [f"Note: {note}." for note in diagnosis.notes]
 
 

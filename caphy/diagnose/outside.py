@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from caphy.diagnose.flexible import RIDGE, flexible_gains, flexible_misfits
 from caphy.diagnose.probes import probe_places
 from caphy.diagnose.search import OVER_BASE, Search
-from caphy.refit.evidence import Evidence, ridged
+from caphy.refit.evidence import ridged
 
-_RIDGE = 1e-2
 _MORE = 1.5  # times the library's best gain that a probe must reach
 _SURE = 2.0  # standard errors over windows
 
@@ -42,22 +42,10 @@ def outside(found: Search, floor: float = 0.0) -> Outside:
     """
     last = found.screens[-1]
     known = last.evidence_of_probes
-    places = probe_places()
-    left = {name: _left_out(known.picked(place)) for name, place in places.items() if known.b[:, place].any()}
-    null = known.misfit(np.zeros(known.b.shape[1]))
-    gains = {name: 1 - float(misfit.sum() / null.sum()) for name, misfit in left.items()}
+    left, gains = flexible_misfits(known), flexible_gains(known)
     best = max(gains, key=lambda name: gains[name])
     library = max(score.gain for score in last.scores)
-    fall = null - left[best]
+    fall = known.misfit(np.zeros(known.b.shape[1])) - left[best]
     sure = fall.sum() > _SURE * np.sqrt((fall**2).sum())
     beats = gains[best] > max(_MORE * library, last.needed, OVER_BASE * floor) and sure
-    return Outside(gains, library, best, bool(beats), ridged(*known.picked(places[best]).normal, _RIDGE))
-
-
-def _left_out(known: Evidence) -> np.ndarray:
-    """chi2 of each window (W,) with a probe fitted to all the others."""
-    normal, right = known.normal
-    fits = [
-        ridged(normal - w * a, right - w * b, _RIDGE) for w, a, b in zip(known.weight, known.a, known.b, strict=True)
-    ]
-    return known.misfit(np.array(fits))
+    return Outside(gains, library, best, bool(beats), ridged(*known.picked(probe_places()[best]).normal, RIDGE))

@@ -14,7 +14,10 @@ from torch import Tensor
 
 from caphy.effects.base import BodyState, Step
 from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
 from caphy.effects.vectors import cross
+from caphy.refit.responses import Watched
+from caphy.refit.tangents import Pushes
 
 Fields = Callable[[Cloth, np.ndarray, Tensor, Step, BodyState | None], Tensor]
 """Pressures (K, ..., V, 3) [Pa] for a cloth with modes (V, M) at positions (..., V, 3) [m]."""
@@ -118,3 +121,13 @@ def probe_pushes(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: B
     """What one pascal of each field of each probe adds to the gradient of the potential (K, ..., V, 3) [N]."""
     area = torch.from_numpy(cloth.vertex_area)[:, None]
     return torch.cat([-area * fields(cloth, modes, x, step, body) for fields in PROBES.values()])
+
+
+def probes_of(model: Model) -> Callable[[Watched], Pushes]:
+    """The flexible forces on each scene's cloth."""
+
+    def of(watched: Watched) -> Pushes:
+        cloth, modes = watched.scene.potential(model).cloth, watched.projection.modes
+        return lambda x, step, body: probe_pushes(cloth, modes, x, step, body)
+
+    return of

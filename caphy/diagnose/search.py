@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from caphy.diagnose.base import Base
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
-from caphy.diagnose.probes import probe_pushes
+from caphy.diagnose.probes import probes_of
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
 from caphy.refit.evidence import Evidence, best_offset, evidence, robust_weights
-from caphy.refit.responses import Response, Watched
+from caphy.refit.responses import Response
 from caphy.refit.study import Fit, Study, fit, picked, refined
-from caphy.refit.tangents import Pushes
 
 LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
@@ -25,6 +25,8 @@ LEAST_WALD = 20.0
 """Squared estimate over squared error."""
 OVER_BASE = 2.0
 """How many times the best gain on base measurements, where nothing is missing."""
+MISTAKEN = 0.5
+"""Of the gain that an explanation had on base measurements before they were corrected: what it must reach besides."""
 MOST_TERMS = 3
 """Effects that are added at most."""
 FINALISTS = 4
@@ -32,7 +34,7 @@ FINALISTS = 4
 
 _CLOSE = 0.6  # of the best gain: what is refitted
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
-_SECOND = 0.15  # share of the misfit that a second effect must take away by its refit
+_SECOND = 0.1  # of the share that the first one took away: what a further effect must take away at least
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 
 
@@ -40,7 +42,8 @@ _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 class Screen:
     """All windows against one model, in the columns of the whole library.
 
-    ``needed`` is the gain that an effect must reach to be accepted; ``evidence_of_probes`` is of the flexible forces.
+    ``needed`` is the gain that an effect must reach to be accepted, ``more_needed`` what some need instead, by label;
+    ``evidence_of_probes`` is of the flexible forces.
     """
 
     model: Model
@@ -51,12 +54,17 @@ class Screen:
     evidence: Evidence
     scores: list[Score]
     needed: float
+    more_needed: dict[str, float]
     evidence_of_probes: Evidence
 
     @property
     def misfit(self) -> float:
         """Weighted chi2 of the model as it is."""
         return float((self.evidence.weight * self.evidence.c).sum())
+
+    def enough(self, score: Score) -> bool:
+        """Whether an explanation's gain is beyond chance."""
+        return score.gain >= max(self.needed, self.more_needed.get(score.group.label, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,30 +96,23 @@ def search(
     model: Model,
     original: Model,
     on_body: bool,
-    floor: float | None = None,
-    variance: np.ndarray | None = None,
-    most: int = MOST_TERMS,
+    base: Base | None = None,
 ) -> Search:
     """Find what a model lacks in the windows of a study.
 
     Args:
-        original: the user's model, without the corrections that base measurements may have added.
-        floor: best gain of the library on base measurements; none without.
-        variance: of each mode at each lag (L, M) [m^2], from base measurements; estimated here without.
+        original: the user's model; effects that it lacks count as added.
+        base: what was learned from base measurements.
     """
     found = Search()
-    found.screens.append(screen(study, model, original, on_body, floor, variance))
-    while len(found.terms) < most:
+    found.screens.append(screen(study, model, original, on_body, base))
+    while len(found.terms) < MOST_TERMS:
         term = _next_term(study, found)
         if term is None:
             break
         found.terms.append(term)
         found.fit = term.fit
-        last = found.screens[0]
-        offsets = [best_offset(r, last.variance, np.zeros(len(term.fit.columns))) for r in term.fit.responses]
-        found.screens.append(
-            screen(study, term.fit.model, original, on_body, floor, last.variance, last.evidence.weight, offsets)
-        )
+        found.screens.append(screen(study, term.fit.model, original, on_body, base, found.screens[0], term.fit))
     _eliminate(study, found)
     return found
 
@@ -121,51 +122,44 @@ def screen(
     model: Model,
     original: Model,
     on_body: bool,
-    floor: float | None = None,
-    variance: np.ndarray | None = None,
-    weight: np.ndarray | None = None,
-    offsets: Sequence[np.ndarray] | None = None,
+    base: Base | None = None,
+    first: Screen | None = None,
+    after: Fit | None = None,
 ) -> Screen:
-    """All windows against a model and the whole library; what ``original`` lacks counts as added."""
+    """All windows against a model and the whole library; what ``original`` lacks counts as added.
+
+    A later screen keeps the variance and the weights of the ``first``, and starts its windows where the fit ``after``
+    which it comes did.
+    """
     groups = (*own_groups(model, original), *library(model, on_body))
     columns, places = columns_of(groups)
-    offsets = study.settled(model, variance) if offsets is None else offsets
-    probed = study.respond(model, columns, offsets, "screening", _probes(model))
+    offsets = None
+    if first is not None and after is not None:
+        offsets = [best_offset(r, first.variance, np.zeros(len(after.columns))) for r in after.responses]
+    probed = study.respond(model, columns, offsets, "screening", probes_of(model))
+    if first is None and base is not None:
+        probed = study.correct(probed, columns, base.correction)
     responses = picked(probed, range(len(columns)))
-    variance = study.variance(responses) if variance is None else variance
+    variance = first.variance if first else base.variance if base else study.variance(responses)
     known = evidence(responses, variance)
-    weight = robust_weights(known) if weight is None else weight
+    weight = first.evidence.weight if first else robust_weights(known)
     known = replace(known, weight=weight)
     scores = screened(known, groups, places, model)
     chance = float(np.quantile(null_gains(known, groups, places, model), 0.99))
-    least = LEAST_GAIN if floor is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * floor)
-    needed = max(least, chance)
+    needed = max(LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain), chance)
     flexible = evidence(picked(probed, range(len(columns), probed[0].columns.shape[-1])), variance, weight)
-    return Screen(model, groups, places, responses, variance, known, scores, needed, flexible)
+    return Screen(model, groups, places, responses, variance, known, scores, needed, max(needed, LEAST_GAIN), flexible)
 
 
-def _probes(model: Model) -> Callable[[Watched], Pushes]:
-    """The flexible forces on each scene's cloth."""
-
-    def of(watched: Watched) -> Pushes:
-        cloth, modes = watched.scene.potential(model).cloth, watched.projection.modes
-        return lambda x, step, body: probe_pushes(cloth, modes, x, step, body)
-
-    return of
-
-
-def finalists(scores: Sequence[Score], needed: float) -> list[Score]:
-    """The explanations worth a refit: those near the best, and other laws of the same family."""
-    best = max(scores, key=lambda score: score.gain)
-    if best.gain < needed:
-        return []
-    near = [s for s in scores if s.gain >= max(_CLOSE * best.gain, 0.5 * needed) and s.wald >= LEAST_WALD]
-    return near[:FINALISTS]
+def finalists(last: Screen) -> list[Score]:
+    """The explanations worth a refit: those near the best of what is beyond chance."""
+    sure = [score for score in last.scores if last.enough(score) and score.wald >= LEAST_WALD]
+    return [score for score in sure if score.gain >= _CLOSE * sure[0].gain][:FINALISTS]
 
 
 def _next_term(study: Study, found: Search) -> Term | None:
     last = found.screens[-1]
-    near = finalists(last.scores, last.needed)
+    near = finalists(last)
     if not near:
         return None
     before = () if found.fit is None else found.fit.columns
@@ -177,11 +171,16 @@ def _next_term(study: Study, found: Search) -> Term | None:
         if label != leader and reached < fits[leader].misfit and not fits[label].converged:
             fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
     fall = last.misfit - min(f.misfit for f in fits.values())
-    if fall < (_SECOND if found.terms else last.needed) * last.misfit:
+    if fall < max(last.needed, _SECOND * _taken(found)) * last.misfit:
         return None
     equal = [score for score in near if last.misfit - fits[score.group.label].misfit >= _TIE * fall]
     chosen = min(equal, key=lambda score: (score.size, fits[score.group.label].misfit)).group
     return Term(chosen, fits[chosen.label], {label: f.misfit for label, f in fits.items()})
+
+
+def _taken(found: Search) -> float:
+    """Share of the misfit that what was accepted took away."""
+    return 0.0 if found.fit is None else 1 - found.fit.misfit / found.screens[0].misfit
 
 
 def _fitted(study: Study, last: Screen, score: Score, before: Sequence[Column], rounds: int) -> Fit:

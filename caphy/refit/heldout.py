@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
-from caphy.refit.study import Progress, Study
+from caphy.refit.columns import Column
+from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.responses import Response
+from caphy.refit.study import SNAPPED, Progress, Study
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +24,8 @@ class HeldOut:
         before_mm, after_mm: of the model as it was, and as it is.
         floor_mm: what the noise of the measurement alone gives; none if it is not known.
         before, after: median of each window (W,) [mm].
+        share: of the misfit that is gone, the windows' starts free as in a fit: finer than medians, which noise
+            dominates.
     """
 
     before_mm: float
@@ -28,23 +33,40 @@ class HeldOut:
     floor_mm: float | None
     before: np.ndarray
     after: np.ndarray
+    share: float
 
 
 def held_out_errors(
-    scenes: Sequence[Scene], before: Model, after: Model, variance: np.ndarray, progress: Progress | None = None
+    scenes: Sequence[Scene],
+    before: Model,
+    after: Model,
+    variance: np.ndarray,
+    progress: Progress | None = None,
+    columns: Sequence[Column] = (),
+    known: Mapping[str, float] | None = None,
 ) -> HeldOut:
-    """Roll out both models on held-out scenes; starts are found by each model for itself, alike."""
+    """Roll out both models on held-out scenes.
+
+    ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
+    """
     study = Study(scenes, progress=progress)
-    old = window_errors(study, before, variance)
-    new = old if after is before else window_errors(study, after, variance)
+    old = study.correct(study.respond(before, columns, None, "held-out windows"), columns, known or {})
+    new = study.respond(after, (), None, "held-out windows")
     noise = [measurement_noise(scene.measurement) for scene in scenes]
-    known = [1e3 * found.median for found in noise if found is not None]
-    medians = [np.array([np.nanmedian(window) for window in errors]) for errors in (old, new)]
-    pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in errors]))) for errors in (old, new)]
-    return HeldOut(pooled[0], pooled[1], float(np.median(known)) if known else None, medians[0], medians[1])
+    stated = [1e3 * found.median for found in noise if found is not None]
+    return judged(old, new, variance, float(np.median(stated)) if stated else None)
 
 
-def window_errors(study: Study, model: Model, variance: np.ndarray) -> list[np.ndarray]:
-    """Distances (L, V) [mm] in each window."""
-    responses = study.respond(model, None, study.settled(model, variance), "held-out windows")
-    return [1e3 * response.error for response in responses]
+def judged(
+    old: Sequence[Response], new: Sequence[Response], variance: np.ndarray, floor_mm: float | None = None
+) -> HeldOut:
+    """Windows before and after; one that gets much worse counts no more than twice what it did (a fold that snaps)."""
+    first = evidence([replace(r, columns=r.columns[..., :0]) for r in old], variance)
+    first = replace(first, weight=robust_weights(first))
+    was = first.weight * first.c
+    now = np.minimum(first.weight * evidence(new, variance).c, SNAPPED * was)
+    errors = [[1e3 * response.error for response in each] for each in (old, new)]
+    medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
+    pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
+    gone = 1 - float(now.sum() / was.sum())
+    return HeldOut(pooled[0], pooled[1], floor_mm, medians[0], medians[1], gone)

@@ -16,7 +16,7 @@ from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, addition, extended, moved, tunable
 from caphy.refit.evidence import best_offset, evidence, robust_weights
-from caphy.refit.heldout import HeldOut, held_out_errors, window_errors
+from caphy.refit.heldout import HeldOut, held_out_errors, judged
 from caphy.refit.intervals import half_widths
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit
 
@@ -76,7 +76,8 @@ def refit(
     if proof is None:
         errors = held_out_errors(apart, model, fitted.model, variance, progress)
     else:
-        errors = _on_windows(proof, model, fitted.model, variance)
+        before, after = (proof.respond(each, (), None, "held-out windows") for each in (model, fitted.model))
+        errors = judged(before, after, variance)
     kept = tuple(name for name in names if name not in removed)
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
     if errors.after_mm > NOT_WORSE * errors.before_mm:
@@ -115,7 +116,7 @@ def _columns(model: Model, names: Sequence[str]) -> tuple[Column, ...]:
 def _fitted(study: Study, model: Model, names: tuple[str, ...]) -> tuple[Fit, _First, tuple[str, ...]]:
     """The joint fit, then without each effect that is not needed (backward elimination)."""
     columns = _columns(model, names)
-    responses = study.respond(model, columns, study.settled(model), "before")
+    responses = study.respond(model, columns, None, "before")
     variance = study.variance(responses)
     known = evidence(responses, variance)
     weight = robust_weights(known)
@@ -158,13 +159,6 @@ def _split(study: Study) -> Study:
             "measure longer motions, or give --held-out"
         )
     return proof
-
-
-def _on_windows(proof: Study, before: Model, after: Model, variance: np.ndarray) -> HeldOut:
-    errors = [window_errors(proof, each, variance) for each in (before, after)]
-    pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
-    medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
-    return HeldOut(pooled[0], pooled[1], None, medians[0], medians[1])
 
 
 def _numbers(fitted: Fit, model: Model) -> dict[str, tuple[float, float, float, str]]:

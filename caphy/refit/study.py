@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,8 @@ ROUNDS = 4
 
 _SETTLED = 0.01  # of the misfit: what a further Gauss-Newton step must promise
 
-_SNAPPED = 2.0  # times its first misfit: what a window may count at most
+SNAPPED = 2.0
+"""Times its first misfit: what a window may count at most."""
 _FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
 
 Progress = Callable[[str, int, int], None]
@@ -39,6 +40,7 @@ class Study:
         """Raises :class:`CaphyError` where there are too few windows."""
         self.scenes, self.length, self.progress = tuple(scenes), length, progress
         self.watched = watched(scenes, length)
+        self._expected: list[np.ndarray] | None = None
         self.starts = [each.starts() for each in self.watched]
         if sum(map(len, self.starts)) < FEWEST:
             names = ", ".join(scene.measurement.source or scene.measurement.name for scene in scenes)
@@ -73,20 +75,24 @@ class Study:
         for each, starts in zip(self.watched, self.starts, strict=True):
             forces = None if pushes is None else pushes(each)
             for response in each.respond(model, columns, {frame: next(given) for frame in starts}, forces):
-                responses.append(response)
+                wrong = 0.0 if self._expected is None else self._expected[len(responses)]
+                responses.append(replace(response, residual=response.residual - wrong))
                 if self.progress is not None:
                     self.progress(what, len(responses), total)
         return responses
 
-    def settled(self, model: Model, variance: np.ndarray | None = None) -> list[np.ndarray]:
-        """Where windows start if the model is right: moved so that their whole length fits best, as far as likely.
+    def correct(
+        self, responses: Sequence[Response], columns: Sequence[Column], known: Mapping[str, float]
+    ) -> list[Response]:
+        """Take from residuals, in these responses and all to come, what base measurements taught to expect.
 
-        The measurement alone gives velocities that are too smooth; a window's own motion tells better (this is the
-        variational data assimilation of weather forecasts: Le Dimet, Talagrand, Tellus 38A, 1986).
+        Args:
+            columns: the first of the responses'.
+            known: how much of each column, by name, stands for what mesh and solver get wrong.
         """
-        responses = self.respond(model, (), None, "settling")
-        variance = self.variance(responses) if variance is None else variance
-        return [best_offset(response, variance, np.zeros(0)) for response in responses]
+        change = np.array([known.get(column.name, 0.0) for column in columns])
+        self._expected = [response.columns[..., : len(change)] @ change for response in responses]
+        return [replace(r, residual=r.residual - e) for r, e in zip(responses, self._expected, strict=True)]
 
     def variance(self, responses: Sequence[Response]) -> np.ndarray:
         """The variance (L, M) [m^2] that nothing explains."""
@@ -201,6 +207,6 @@ def _judged(
 ) -> Fit:
     known = evidence(responses, variance, weight)
     each = known.weight * known.c
-    most = _SNAPPED * each if most is None else most
+    most = SNAPPED * each if most is None else most
     known = replace(known, weight=known.weight * np.minimum(1, most / np.maximum(each, 1e-300)))
     return Fit(origin, model, columns, responses, known, float((known.weight * known.c).sum()), most)
