@@ -9,6 +9,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from test_viewer_files import amass
 
 import service.viewer
+from caphy.io.bundle import write_bundle
 from service.engine import GarmentEngine
 from service.protocol import decode_request
 
@@ -361,6 +363,21 @@ def test_a_service_that_goes_away_and_comes_back(browser, avatars):
         page.evaluate("caphy.seek(1)")
         until(page, "caphy.shown === 1")
     page.context.close()
+
+
+def test_another_avatar_can_be_chosen(browser, bundle, tmp_path):
+    write_bundle(bundle, tmp_path / "a")
+    write_bundle(replace(bundle, name="other", garments=bundle.garments[:1]), tmp_path / "b")
+    faults: list[str] = []
+    with live_service(tmp_path) as service:
+        page = opened(browser, service.url, faults)
+        until(page, "caphy.clip?.ready > 0")
+        page.evaluate("caphy.play(true)")
+        page.locator("#avatar").select_option("b")
+        until(page, 'caphy.avatar.id === "b" && caphy.clip?.ready > 0')
+        assert page.locator("#parts [data-garment]").all_text_contents() == ["tshirt"]
+        assert faults == []
+        page.context.close()
 
 
 def test_a_key_is_asked_for(browser, avatars):

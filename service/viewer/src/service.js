@@ -14,7 +14,6 @@ const key = { get: () => sessionStorage.getItem("caphy-key"), set: (value) => se
 export const apiKey = key;
 
 export const listAvatars = async () => (await ask("/avatars")).json();
-export const describeAvatar = async (id) => (await ask(`/avatars/${encodeURIComponent(id)}`)).json();
 export const avatarGlb = async (id) => (await ask(`/avatars/${encodeURIComponent(id)}/mesh?format=glb`)).arrayBuffer();
 
 /** The bundled motion of an avatar. */

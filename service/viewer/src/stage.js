@@ -28,15 +28,25 @@ export class Stage {
   }
 
   light() {
-    this.sky = new HemisphereLight(0xffffff, 0x8a8f98, 1.35);
-    this.sun = new DirectionalLight(0xfff6ec, 2.1);
-    this.rim = new DirectionalLight(0xdce8ff, 0.7);
+    this.sky = new HemisphereLight(0xffffff, 0x8a8f98);
+    this.sun = new DirectionalLight(0xfff6ec);
+    this.rim = new DirectionalLight(0xdce8ff);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
     this.sun.shadow.normalBias = 0.02;
     this.sun.shadow.radius = 5;
     Object.assign(this.sun.shadow.camera, { left: -1.5, right: 1.5, top: 1.6, bottom: -1.6, near: 0.5, far: 9 });
     this.scene.add(this.sky, this.sun, this.sun.target, this.rim, this.rim.target);
+    this.flatten(false);
+  }
+
+  /** Flat white light, so that colours that mean numbers look like those of their legend. */
+  flatten(on) {
+    this.sky.intensity = on ? 2.5 : 1.35;
+    this.sky.groundColor.set(on ? 0xd8d8d8 : 0x8a8f98);
+    this.sun.intensity = on ? 0.75 : 2.1;
+    this.sun.color.set(on ? 0xffffff : 0xfff6ec);
+    this.rim.intensity = on ? 0.2 : 0.7;
   }
 
   floor() {

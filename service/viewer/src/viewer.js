@@ -17,6 +17,7 @@ class Viewer {
     this.playing = false;
     this.speed = 1;
     this.strain = this.wire = false;
+    this.shown = null; // the frame that is seen
     this.state = new PageState({
       again: () => this.start(),
       dismiss: () => this.state.clear(),
@@ -49,6 +50,7 @@ class Viewer {
   }
 
   async dress(id) {
+    this.undress();
     this.avatar = this.avatars.find((avatar) => avatar.id === id);
     const model = await AvatarModel.load(await avatarGlb(id));
     if (this.model) this.stage.scene.remove(this.model.root);
@@ -57,6 +59,15 @@ class Viewer {
     for (const button of document.querySelectorAll("#parts [data-garment]")) button.remove();
     [...model.garments.keys()].forEach((name, i) => this.addGarmentButton(name, i + 1));
     this.appearance();
+  }
+
+  /** Lets go of the motion: its meshes are another avatar's. */
+  undress() {
+    this.loading?.abort();
+    this.play(false);
+    this.goLive(false);
+    this.clip = null;
+    this.shown = null;
   }
 
   addGarmentButton(name, key) {
@@ -127,7 +138,7 @@ class Viewer {
       return setTimeout(again, 1000 * (error.wait ?? 2));
     }
     this.play(false);
-    this.state.error(error.message, { back: this.shown !== null && this.shown !== undefined });
+    this.state.error(error.message, { back: this.shown !== null });
     if (!(error instanceof Refusal)) console.error(error);
   }
 
@@ -231,7 +242,8 @@ class Viewer {
     const ink = getComputedStyle(document.body).color;
     for (const { wire } of this.model.garments.values()) wire.material.color.set(ink);
     find("legend").hidden = !this.strain;
-    if (this.shown === null || this.shown === undefined) return;
+    this.stage.flatten(this.strain);
+    if (this.shown === null) return;
     if (this.live) this.posed(this.shown, 0);
     else this.show();
   }
@@ -256,13 +268,13 @@ class Viewer {
     const shown = [...this.model.garments.values()].filter((garment) => garment.mesh.visible);
     const sorted = Float32Array.from(shown.flatMap((garment) => [...garment.stretch])).sort();
     const at = (share) => (100 * (sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)] ?? 0)).toFixed(0);
-    find("legend-now").textContent = `this frame: half of the faces below ${at(0.5)} %, 95 % below ${at(0.95)} %, largest ${at(1)} %`;
+    find("legend-now").textContent = `now: half of them below ${at(0.5)} %, 95 % below ${at(0.95)} %, largest ${at(1)} %`;
   }
 
   // The live stream
 
   goLive(on) {
-    if (!this.clip || on === Boolean(this.live)) return;
+    if ((on && !this.clip) || on === Boolean(this.live)) return;
     find("clip").setAttribute("aria-pressed", String(!on));
     find("go-live").setAttribute("aria-pressed", String(on));
     find("live").hidden = !on;

@@ -1,4 +1,4 @@
-/* built from sources 76fdec7476ea5713c3d10831d8d1d5a81ece04124abe4ce60de2e79292959e25 */
+/* built from sources fed8966b8cbd7bc3449a2394c4057fb6dc1acaa5a4bcb7388418985d47d32f47 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
