@@ -148,7 +148,13 @@ def screen(
     chance = float(np.quantile(null_gains(known, groups, places, model), 0.99))
     needed = max(LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain), chance)
     flexible = evidence(picked(probed, range(len(columns), probed[0].columns.shape[-1])), variance, weight)
-    return Screen(model, groups, places, responses, variance, known, scores, needed, max(needed, LEAST_GAIN), flexible)
+    more = {group.label: _more_needed(group, base) for group in groups if base is not None}
+    return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible)
+
+
+def _more_needed(group: Group, base: Base) -> float:
+    """What mesh and solver look like differs between motions; and parameters were fitted to the base."""
+    return max(LEAST_GAIN if group.own else 0.0, MISTAKEN * base.mistaken.get(group.label, 0.0))
 
 
 def finalists(last: Screen) -> list[Score]:
