@@ -268,7 +268,7 @@ class Viewer {
     const shown = [...this.model.garments.values()].filter((garment) => garment.mesh.visible);
     const sorted = Float32Array.from(shown.flatMap((garment) => [...garment.stretch])).sort();
     const at = (share) => (100 * (sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)] ?? 0)).toFixed(0);
-    find("legend-now").textContent = `now: half of them below ${at(0.5)} %, 95 % below ${at(0.95)} %, largest ${at(1)} %`;
+    find("legend-now").textContent = `now: median ${at(0.5)} %, 95 % below ${at(0.95)} %, most ${at(1)} %`;
   }
 
   // The live stream

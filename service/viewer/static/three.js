@@ -1,4 +1,4 @@
-/* built from sources fed8966b8cbd7bc3449a2394c4057fb6dc1acaa5a4bcb7388418985d47d32f47 */
+/* built from sources 2692a969d0dd4606e6df1f8e3f94bc806ebcf283ad81d1fab4500a7fe6492714 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
