@@ -67,7 +67,7 @@ class Connection:
         member = Member(session, self.post, self._is_free, self._fail)
         tasks = [
             asyncio.ensure_future(part)
-            for part in (self._read(session, scheduler, member), self._write(scheduler, member), self._watch())
+            for part in (self._read(session, scheduler, member), self._write(scheduler, member), self._watch(session))
         ]
         try:
             await asyncio.wait([*tasks, self._failure], return_when=asyncio.FIRST_COMPLETED)
@@ -120,11 +120,13 @@ class Connection:
             self._moved.clear()
             await self._moved.wait()
 
-    async def _watch(self) -> None:
+    async def _watch(self, session: Session) -> None:
         limits = self._limits
         while True:
             await asyncio.sleep(min(1.0, limits.idle_seconds / 4, limits.send_seconds / 4))
             now = monotonic()
+            if session.is_owed:
+                self._heard = now
             if now - self._heard > limits.idle_seconds:
                 raise StreamError(408, f"nothing was heard for {limits.idle_seconds:g} s")
             if self._sending is not None and now - self._sending > limits.send_seconds:

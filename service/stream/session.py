@@ -43,6 +43,8 @@ from service.stream.messages import (
 
 HELD_FRAMES: Final = 64
 """Frames that wait for a credit before the oldest are lived."""
+LIVED_FRAMES: Final = 8
+"""Skipped frames that are lived in one go, so that who is behind does not hold up the others."""
 QUEUE: Final = 128
 """Messages that wait before no more are read."""
 
@@ -102,6 +104,7 @@ class Session:
         self._queue: deque[Ticks | Restart | GetState] = deque()
         self._poses_waiting = 0
         self._kept: bytes | None = None
+        self._computing = False
         self._clock = CausalClock(self.fps, _checked_rate(hello.fps), limits.max_frames)
         self._add_credits(hello.credits)
 
@@ -117,6 +120,11 @@ class Session:
     def is_full(self) -> bool:
         """Whether messages wait for whoever computes, so that no more should be read."""
         return len(self._queue) >= QUEUE
+
+    @property
+    def is_owed(self) -> bool:
+        """Whether the client waits for something that it need not ask for again."""
+        return self._computing or (bool(self._queue) and self._credits > 0)
 
     def take(self, message: Poses | Credit | Reset | Rate | GetState) -> None:
         """Take a message in. Raises CaphyError, and nothing has happened, where it cannot be."""
@@ -155,7 +163,7 @@ class Session:
 
     def finish(self, job: Job, meshes: Meshes, states: Mapping[str, np.ndarray]) -> bytes | None:
         """The answer to a job that was computed, if it has one."""
-        self.states, self._number = dict(states), job.number
+        self.states, self._number, self._computing = dict(states), job.number, False
         self._tick += len(job.poses)
         if job.answered is None:
             return None
@@ -230,7 +238,7 @@ class Session:
         available = self._credits if free else 0
         lived: list[Ticks] = []
         count = 0
-        while self._may_skip(available) and count < self.limits.max_frames:
+        while self._may_skip(available) and count < LIVED_FRAMES:
             lived.append(self._pop())
             count += len(lived[-1].poses)
         answered = None
@@ -246,6 +254,7 @@ class Session:
             return None
         poses = lived[0].poses if len(lived) == 1 else np.concatenate([item.poses for item in lived])
         transl = lived[0].transl if len(lived) == 1 else np.concatenate([item.transl for item in lived])
+        self._computing = True
         shown = len(poses) - (len(answered.poses) if answered else 0)
         return Job(poses, transl, shown, lived[-1].number, answered, kept)
 
