@@ -51,9 +51,19 @@ UPLOAD: Final = {
 }
 
 
+class _Files(StaticFiles):
+    """Files that a browser asks for again after an update: it keeps them, but checks."""
+
+    def file_response(self, *args: Any, **options: Any) -> Response:
+        response = super().file_response(*args, **options)
+        response.headers["cache-control"] = "no-cache"
+        response.headers["x-content-type-options"] = "nosniff"
+        return response
+
+
 def add_viewer(app: FastAPI) -> None:
     """Mount the page, its files and its routes."""
-    app.mount("/viewer", StaticFiles(directory=STATIC), name="viewer")
+    app.mount("/viewer", _Files(directory=STATIC), name="viewer")
 
     @app.get("/", include_in_schema=False)
     async def page() -> FileResponse:

@@ -64,7 +64,7 @@ def faults() -> list[str]:
 def page(browser: Browser, url: str, faults: list[str]) -> Iterator[Page]:
     """The page with its motion loaded, paused at the start."""
     page = opened(browser, url, faults)
-    until(page, "caphy.clip?.ready > 60")
+    until(page, "caphy.clip?.ready > 80")
     yield page
     page.context.close()
 
@@ -166,7 +166,7 @@ def test_loads_without_complaints_and_draws_a_body_in_clothes(still, faults):
     assert faults == []
 
 
-@pytest.mark.parametrize("frame", [0, 45])
+@pytest.mark.parametrize("frame", [0, 45, 75])  # the last one is of the second part that was fetched
 def test_garments_are_where_the_service_puts_them(still, expected, frame):
     still.evaluate(f"caphy.seek({frame})")
     for name, vertices in expected[1].items():

@@ -2,11 +2,12 @@
 import { AvatarModel } from "./avatar.js";
 import { Clip } from "./clip.js";
 import { listenToKeys } from "./keys.js";
+import { Legend } from "./legend.js";
 import { Live } from "./live.js";
 import { apiKey, avatarGlb, listAvatars, madeUpMotion, Refusal, uploadedMotion } from "./service.js";
 import { Stage } from "./stage.js";
 import { PageState } from "./state.js";
-import { MOST, RAMP } from "./strain.js";
+import { addGarmentButton, listenToDrops, listenToToolbar } from "./toolbar.js";
 
 const find = (id) => document.getElementById(id);
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
@@ -23,7 +24,9 @@ class Viewer {
       dismiss: () => this.state.clear(),
       key: (value) => { apiKey.set(value); this.start(); },
     });
-    this.listen();
+    this.legend = new Legend();
+    listenToToolbar(this);
+    listenToDrops(this);
     listenToKeys(this);
   }
 
@@ -57,7 +60,7 @@ class Viewer {
     this.model = model;
     this.stage.scene.add(model.root);
     for (const button of document.querySelectorAll("#parts [data-garment]")) button.remove();
-    [...model.garments.keys()].forEach((name, i) => this.addGarmentButton(name, i + 1));
+    [...model.garments.keys()].forEach((name, i) => addGarmentButton(this, name, i + 1));
     this.appearance();
   }
 
@@ -68,15 +71,6 @@ class Viewer {
     this.goLive(false);
     this.clip = null;
     this.shown = null;
-  }
-
-  addGarmentButton(name, key) {
-    const button = document.createElement("button");
-    Object.assign(button, { type: "button", textContent: name, title: `${name} (${key})` });
-    button.dataset.garment = name;
-    button.setAttribute("aria-pressed", "true");
-    button.addEventListener("click", () => this.toggle(button));
-    find("parts").append(button);
   }
 
   async fetched(ask) {
@@ -228,7 +222,7 @@ class Viewer {
     const { x, z } = model.bones[0].position;
     this.stage.follow(x, z);
     this.shown = frame;
-    if (this.strain) this.readStrain();
+    if (this.strain) this.legend.read(model, this.playing);
     this.stage.draw();
   }
 
@@ -241,7 +235,7 @@ class Viewer {
     }
     const ink = getComputedStyle(document.body).color;
     for (const { wire } of this.model.garments.values()) wire.material.color.set(ink);
-    find("legend").hidden = !this.strain;
+    this.legend.show(this.strain);
     this.stage.flatten(this.strain);
     if (this.shown === null) return;
     if (this.live) this.posed(this.shown, 0);
@@ -259,16 +253,6 @@ class Viewer {
     find("shaded").setAttribute("aria-pressed", String(!strain));
     find("strain").setAttribute("aria-pressed", String(strain));
     if (this.model) this.appearance();
-  }
-
-  readStrain() {
-    const now = performance.now();
-    if (this.playing && now - (this.strainRead ?? 0) < 250) return;
-    this.strainRead = now;
-    const shown = [...this.model.garments.values()].filter((garment) => garment.mesh.visible);
-    const sorted = Float32Array.from(shown.flatMap((garment) => [...garment.stretch])).sort();
-    const at = (share) => (100 * (sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)] ?? 0)).toFixed(0);
-    find("legend-now").textContent = `now: median ${at(0.5)} %, 95 % below ${at(0.95)} %, most ${at(1)} %`;
   }
 
   // The live stream
@@ -316,46 +300,6 @@ class Viewer {
     find("service").textContent = `${brief(service)} ms`;
     find("dropped").textContent = `${dropped} of ${due}`;
     find("rate").textContent = `${rate} / s`;
-  }
-
-  // The page
-
-  listen() {
-    find("play").addEventListener("click", () => this.play(!this.playing));
-    find("scrub").addEventListener("input", (event) => { this.play(false); this.seek(Number(event.target.value)); });
-    find("speed").addEventListener("change", (event) => this.setSpeed(Number(event.target.value)));
-    find("clip").addEventListener("click", () => this.goLive(false));
-    find("go-live").addEventListener("click", () => this.goLive(true));
-    find("shaded").addEventListener("click", () => this.colour(false));
-    find("strain").addEventListener("click", () => this.colour(true));
-    for (const id of ["wireframe", "body"]) find(id).addEventListener("click", () => this.toggle(find(id)));
-    find("open").addEventListener("click", () => find("file").click());
-    find("file").addEventListener("change", (event) => {
-      const [file] = event.target.files;
-      event.target.value = "";
-      if (file) this.openFile(file);
-    });
-    find("camera").addEventListener("click", () => this.stage?.home());
-    find("help").addEventListener("click", () => find("keys").showModal());
-    find("avatar").addEventListener("change", () => this.start());
-    find("legend").querySelector(".ramp").style.background = `linear-gradient(90deg, ${RAMP.join(",")})`;
-    find("legend-most").textContent = `${100 * MOST} % and more`;
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.model && this.appearance());
-    this.listenToDrops();
-  }
-
-  listenToDrops() {
-    let depth = 0;
-    const hint = (by) => { depth = Math.max(0, depth + by); find("drop").hidden = depth === 0; };
-    addEventListener("dragenter", (event) => { event.preventDefault(); hint(1); });
-    addEventListener("dragleave", () => hint(-1));
-    addEventListener("dragover", (event) => event.preventDefault());
-    addEventListener("drop", (event) => {
-      event.preventDefault();
-      hint(-depth);
-      const [file] = event.dataTransfer.files;
-      if (file && this.avatar) this.openFile(file);
-    });
   }
 }
 

@@ -1,4 +1,4 @@
-/* built from sources 2692a969d0dd4606e6df1f8e3f94bc806ebcf283ad81d1fab4500a7fe6492714 */
+/* built from sources 9016c26171e96e18e9366c93af3cc59117705dafe7768f81dbabe0f42221d050 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
