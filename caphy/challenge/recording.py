@@ -64,7 +64,8 @@ def _simulated(stage: Stage, play: Play, hidden: Hidden, frames: int) -> np.ndar
 
 def _key(stage: Stage, hidden: Hidden, seed: int, frames: int) -> str:
     effects = {n: {k: np.asarray(v).tolist() for k, v in values.items()} for n, values in hidden.effects.items()}
-    said = [REVISION, stage.name, effects, hidden.outside, stage.truth is stage.user, seed, frames, stage.model.to_json()]
+    same_mesh = stage.truth is stage.user
+    said = [REVISION, stage.name, effects, hidden.outside, same_mesh, seed, frames, stage.model.to_json()]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:20]
 
 

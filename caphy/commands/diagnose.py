@@ -87,11 +87,26 @@ def write(diagnosis: Diagnosis, command: Diagnose) -> None:
     _write_text(command.output / "model.json", diagnosis.model.to_json())
     print("\n" + table(diagnosis) + "\n")
     print("\n".join(sentences(diagnosis)))
-    print(f"\n{command.output / 'diagnosis.json'}\n{command.output / 'model.json'}")
+    page = command.output / "diagnosis.html"
+    _write_text(page, _page(diagnosis, told, command))
+    print(f"\n{command.output / 'diagnosis.json'}\n{command.output / 'model.json'}\n{page}")
     if diagnosis.found:
         added = " ".join(f"--add {name}" for name in diagnosis.found)
         files = " ".join(map(str, command.measurements))
         print(f"next: caphy refit {command.model} {files} {added} -o {command.output / 'refitted.json'}")
+
+
+def _page(diagnosis: Diagnosis, told: dict, command: Diagnose) -> str:
+    from caphy import __version__
+    from caphy.diagnose.pictures import force_pictures
+    from caphy.report.page.compose import diagnosis_page
+
+    try:
+        pictures = force_pictures(diagnosis)
+    except CaphyError:  # embreex is not installed; the page does without
+        pictures = []
+    facts = {"model": command.model, "windows": str(diagnosis.windows), "written by": f"caphy {__version__}"}
+    return diagnosis_page(f"{Path(command.model).stem}: what is missing?", told, pictures, facts)
 
 
 def _diagnose_curves(command: Diagnose, model: Model) -> None:

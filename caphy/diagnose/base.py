@@ -98,7 +98,7 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
 def _looked(study: Study, model: Model, on_body: bool) -> _Look:
     groups = (*own_groups(model, model), *library(model, on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, None, "base measurements", probes_of(model))
+    probed = study.respond(model, columns, "base measurements", probes_of(model))
     responses = picked(probed, range(len(columns)))
     variance = study.variance(responses)
     known = evidence(responses, variance)

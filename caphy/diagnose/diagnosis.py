@@ -48,6 +48,7 @@ class Ranked:
         label, name: for people; the effect's.
         own: it is a change of parameters that the model has.
         gain: share of the misfit gone in windows left out of its fit.
+        needed: what it would have to be.
         wald: squared estimate over squared error.
         linear: first estimate of each number.
         refitted: share of the misfit gone after the refit, where it was refitted.
@@ -58,6 +59,7 @@ class Ranked:
     name: str
     own: bool
     gain: float
+    needed: float
     wald: float
     linear: dict[str, float]
     refitted: float | None
@@ -229,13 +231,14 @@ def _ranking(found: Search) -> list[Ranked]:
     for score in first.scores:
         place = first.places[score.group.label]
         names = [column.name for column in score.group.columns]
-        size = np.sqrt(first.needed * first.misfit / np.maximum(np.diag(normal)[place], 1e-300))
+        needed = first.needed_by(score)
+        size = np.sqrt(needed * first.misfit / np.maximum(np.diag(normal)[place], 1e-300))
         label = score.group.label
         refitted = 1 - tried[label] / first.misfit if label in tried else None
         linear = dict(zip(names, map(float, score.change), strict=True))
         noticed = {name: float(s) for name, s in zip(names, size, strict=True) if np.isfinite(s) and s < 1e12}
         ranking.append(
-            Ranked(label, score.group.name, score.group.own, score.gain, score.wald, linear, refitted, noticed)
+            Ranked(label, score.group.name, score.group.own, score.gain, needed, score.wald, linear, refitted, noticed)
         )
     return ranking
 

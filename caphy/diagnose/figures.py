@@ -33,6 +33,8 @@ def figures(diagnosis: Diagnosis) -> dict:
             "after_mm": held.after_mm,
             "noise_mm": held.floor_mm,
             "share_of_misfit_gone": held.share,
+            "windows_before_mm": held.before.tolist(),
+            "windows_after_mm": held.after.tolist(),
         },
         "base": None
         if base is None
@@ -50,6 +52,7 @@ def figures(diagnosis: Diagnosis) -> dict:
                 "effect": r.name,
                 "family": find_effect(r.name).group,
                 "gain": r.gain,
+                "gain_needed": r.needed,
                 "wald": r.wald,
                 "first_estimate": r.linear,
                 "gain_after_refit": r.refitted,

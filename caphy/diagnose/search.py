@@ -13,7 +13,7 @@ from caphy.diagnose.probes import probes_of
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
-from caphy.refit.evidence import Evidence, best_offset, evidence, robust_weights
+from caphy.refit.evidence import Evidence, evidence, robust_weights
 from caphy.refit.responses import Response
 from caphy.refit.study import Fit, Study, fit, picked, refined
 
@@ -62,9 +62,13 @@ class Screen:
         """Weighted chi2 of the model as it is."""
         return float((self.evidence.weight * self.evidence.c).sum())
 
+    def needed_by(self, score: Score) -> float:
+        """The gain that an explanation must reach."""
+        return max(self.needed, self.more_needed.get(score.group.label, 0.0))
+
     def enough(self, score: Score) -> bool:
-        """Whether an explanation's gain is beyond chance."""
-        return score.gain >= max(self.needed, self.more_needed.get(score.group.label, 0.0))
+        """Whether an explanation's gain is beyond chance, and beyond what mesh and solver can look like."""
+        return score.gain >= self.needed_by(score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +116,7 @@ def search(
             break
         found.terms.append(term)
         found.fit = term.fit
-        found.screens.append(screen(study, term.fit.model, original, on_body, base, found.screens[0], term.fit))
+        found.screens.append(screen(study, term.fit.model, original, on_body, base, found.screens[0]))
     _eliminate(study, found)
     return found
 
@@ -124,19 +128,14 @@ def screen(
     on_body: bool,
     base: Base | None = None,
     first: Screen | None = None,
-    after: Fit | None = None,
 ) -> Screen:
     """All windows against a model and the whole library; what ``original`` lacks counts as added.
 
-    A later screen keeps the variance and the weights of the ``first``, and starts its windows where the fit ``after``
-    which it comes did.
+    A later screen keeps the variance and the weights of the ``first``.
     """
     groups = (*own_groups(model, original), *library(model, on_body))
     columns, places = columns_of(groups)
-    offsets = None
-    if first is not None and after is not None:
-        offsets = [best_offset(r, first.variance, np.zeros(len(after.columns))) for r in after.responses]
-    probed = study.respond(model, columns, offsets, "screening", probes_of(model))
+    probed = study.respond(model, columns, "screening", probes_of(model))
     if first is None and base is not None:
         probed = study.correct(probed, columns, base.correction)
     responses = picked(probed, range(len(columns)))
@@ -208,8 +207,7 @@ def _eliminate(study: Study, found: Search) -> None:
         others = [t for t in found.terms if t is not term]
         columns = tuple(c for group in (t.group for t in others) for c in group.columns)
         start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
-        offsets = [best_offset(r, first.variance, np.zeros(len(found.fit.columns))) for r in found.fit.responses]
-        responses = study.respond(start, columns, offsets, f"without {label}")
+        responses = study.respond(start, columns, f"without {label}")
         without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
         if without.misfit - found.fit.misfit < _DISPENSABLE * first.misfit:
             found.removed.append(label)

@@ -20,7 +20,7 @@ class MeshBody:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, fps: float) -> None:
         """``vertices`` (T, B, 3) [m], ``faces`` (G, 3) wound outwards, ``fps`` [Hz]."""
-        self.fps, self._last = fps, (len(vertices) - 1) / fps
+        self.fps, self.faces, self._last = fps, faces, (len(vertices) - 1) / fps
         times = np.arange(len(vertices)) / fps
         self._path = CubicSpline(times, vertices, bc_type="natural") if len(vertices) > 1 else lambda t: vertices[0]
         self._surface = Surface.of(faces, vertices[0])

@@ -67,7 +67,7 @@ def _form(response: Response, variance: np.ndarray) -> tuple[np.ndarray, np.ndar
     s, n = (
         (x[seen] * scale[..., None]).reshape(scale.size * 3, x.shape[-1]) for x in (response.columns, response.nuisance)
     )
-    e = (response.residual[seen] * scale).reshape(-1) + n @ response.offset
+    e = (response.residual[seen] * scale).reshape(-1)
     gram = np.linalg.cholesky(np.eye(n.shape[1]) + n.T @ n)
     ne, ns = (np.linalg.solve(gram, n.T @ x) for x in (e, s))
     return s.T @ s - ns.T @ ns, s.T @ e - ns.T @ ne, np.array(e @ e - ne @ ne), np.array(len(e))
@@ -112,13 +112,7 @@ def _whitened(response: Response, variance: np.ndarray, change: np.ndarray) -> t
     scale = response.seen[:, None, None] / np.sqrt(variance)[:, :, None]
     nuisance = (response.nuisance * scale[..., None]).reshape(-1, response.nuisance.shape[-1])
     residual = ((response.residual - response.columns @ change) * scale).reshape(-1)
-    return residual + nuisance @ response.offset, nuisance
-
-
-def best_offset(response: Response, variance: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """The likeliest errors of a window's time step and start (N,) after a change of the columns."""
-    e, n = _whitened(response, variance, change)
-    return np.linalg.solve(np.eye(n.shape[1]) + n.T @ n, n.T @ e)
+    return residual, nuisance
 
 
 def _separable(square: np.ndarray) -> np.ndarray:

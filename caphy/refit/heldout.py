@@ -50,8 +50,8 @@ def held_out_errors(
     ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
     """
     study = Study(scenes, progress=progress)
-    old = study.correct(study.respond(before, columns, None, "held-out windows"), columns, known or {})
-    new = study.respond(after, (), None, "held-out windows")
+    old = study.correct(study.respond(before, columns, "held-out windows"), columns, known or {})
+    new = study.respond(after, (), "held-out windows")
     noise = [measurement_noise(scene.measurement) for scene in scenes]
     stated = [1e3 * found.median for found in noise if found is not None]
     return judged(old, new, variance, float(np.median(stated)) if stated else None)

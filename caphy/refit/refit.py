@@ -15,7 +15,7 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, addition, extended, moved, tunable
-from caphy.refit.evidence import best_offset, evidence, robust_weights
+from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.heldout import HeldOut, held_out_errors, judged
 from caphy.refit.intervals import half_widths
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit
@@ -76,7 +76,7 @@ def refit(
     if proof is None:
         errors = held_out_errors(apart, model, fitted.model, variance, progress)
     else:
-        before, after = (proof.respond(each, (), None, "held-out windows") for each in (model, fitted.model))
+        before, after = (proof.respond(each, (), "held-out windows") for each in (model, fitted.model))
         errors = judged(before, after, variance)
     kept = tuple(name for name in names if name not in removed)
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
@@ -116,7 +116,7 @@ def _columns(model: Model, names: Sequence[str]) -> tuple[Column, ...]:
 def _fitted(study: Study, model: Model, names: tuple[str, ...]) -> tuple[Fit, _First, tuple[str, ...]]:
     """The joint fit, then without each effect that is not needed (backward elimination)."""
     columns = _columns(model, names)
-    responses = study.respond(model, columns, None, "before")
+    responses = study.respond(model, columns, "before")
     variance = study.variance(responses)
     known = evidence(responses, variance)
     weight = robust_weights(known)
@@ -139,8 +139,7 @@ def _without(
     columns = _columns(model, names)
     values = [column.value(best.model) for column in columns]
     start = moved(extended(model, columns), columns, np.array(values))
-    offsets = [best_offset(response, variance, np.zeros(len(best.columns))) for response in best.responses]
-    responses = study.respond(start, columns, offsets, "without one")
+    responses = study.respond(start, columns, "without one")
     return fit(study, start, columns, responses, variance, weight, "without one")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -47,8 +47,6 @@ class Response:
         columns: what one unit of each number changes (L, M, 3, K) [m].
         nuisance: what one standard deviation of each error that is not the model's changes (L, M, 3, N) [m]: of the
             time step, and of the start.
-        offset: how far the start was moved from what the measurement alone says, in the nuisances' standard deviations
-            (N,).
         error: distance of each vertex from its measured place (L, V) [m]; NaN where not seen.
         converged: whether the solver did, (L,).
     """
@@ -59,7 +57,6 @@ class Response:
     seen: np.ndarray
     columns: np.ndarray
     nuisance: np.ndarray
-    offset: np.ndarray
     error: np.ndarray
     converged: np.ndarray
 
@@ -90,10 +87,10 @@ class Watched:
         self,
         model: Model,
         columns: Sequence[Column] | None,
-        starts: Mapping[int, np.ndarray | None],
+        starts: Sequence[int],
         pushes: Pushes | None = None,
     ) -> Iterator[Response]:
-        """The windows that start at given frames, moved by given offsets (N,), one after another.
+        """The windows that start at given frames, one after another.
 
         ``pushes`` are further forces to respond to, after the columns. Without columns (None) nothing but the errors is
         told, at a fraction of the cost.
@@ -104,23 +101,20 @@ class Watched:
         tangents, states = Tangents(self.scene, newton, full, columns or (), pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = Simulator(newton, self.scene.motion, pins=self.scene.pins)  # type: ignore[arg-type]
-        for frame, given in starts.items():
+        for frame in starts:
             recorder.stages.clear()
             sharp = self._sharpened(states.state(frame), frame)
             state = states.state(frame) if sharp is None else sharp
             errors = self._start(BLURRED if sharp is None else self._blur)
-            offset = np.zeros(1 + len(errors.x)) if given is None else given.copy()
-            offset[0] = 0  # the time step is what it is
-            state = self._moved(state, errors, offset[1:])
             run = roll_out(self.scene, simulator, state, frame, length=self.length)
             if columns is None:
-                yield self._plain(frame, offset, run)
+                yield self._plain(frame, run)
                 continue
             moved = tangents.along(recorder.stages, errors, self.length, SUBSTEPS, SDIRK2())
             if frame not in self._steps:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
                 self._steps[frame] = (run.positions - rough.positions)[1:]
-            yield self._response(frame, offset, run, moved[1:], self._steps[frame], moved.shape[1] - len(errors.x))
+            yield self._response(frame, run, moved[1:], self._steps[frame], moved.shape[1] - len(errors.x))
 
     @cached_property
     def _tracks(self) -> np.ndarray:
@@ -154,12 +148,6 @@ class Watched:
         free = np.ones(len(self.scene.garment.vertices)) if fixed is None else (~fixed).astype(float)
         return torch.from_numpy(free)[:, None]
 
-    def _moved(self, state: State, errors: Start, offset: np.ndarray) -> State:
-        """A start state moved by an offset; pins stay where they are."""
-        by = torch.from_numpy(offset)
-        x, v = (torch.tensordot(by, field, 1) * self._free for field in (errors.x, errors.v))
-        return State(state.time, state.x + x, state.v + v)
-
     @cached_property
     def _blur(self) -> tuple[float, float]:
         """How wrong a sharpened start is: standard deviations of a mode's position [m] and velocity [m/s]."""
@@ -176,17 +164,15 @@ class Watched:
         x, v = np.concatenate([blur[0] * fields, zero]), np.concatenate([zero, blur[1] * fields])
         return Start(torch.from_numpy(x), torch.from_numpy(v))
 
-    def _plain(self, frame: int, offset: np.ndarray, run: WindowRun) -> Response:
+    def _plain(self, frame: int, run: WindowRun) -> Response:
         """The errors alone."""
         count = self.projection.modes.shape[1]
         nothing = np.zeros((self.length, 0, run.positions.shape[1], 3))
         step = np.zeros_like(run.positions[1:])
-        response = self._response(frame, offset, run, nothing, step, 0)
+        response = self._response(frame, run, nothing, step, 0)
         return replace(response, nuisance=np.zeros((self.length, count, 3, 0)))
 
-    def _response(
-        self, frame: int, offset: np.ndarray, run: WindowRun, moved: np.ndarray, step: np.ndarray, count: int
-    ) -> Response:
+    def _response(self, frame: int, run: WindowRun, moved: np.ndarray, step: np.ndarray, count: int) -> Response:
         measurement = self.scene.measurement
         assert measurement.vertices is not None
         frames = run.frames[1:]
@@ -204,7 +190,7 @@ class Watched:
         error = np.where(seen, np.linalg.norm(away, axis=-1), np.nan)
         changes, starts = modal[..., 2 : 2 + count], modal[..., 2 + count :]
         nuisance = np.concatenate([modal[..., 1:2], starts], axis=-1)
-        return Response(self.number, frame, modal[..., 0], enough, changes, nuisance, offset, error, run.converged[1:])
+        return Response(self.number, frame, modal[..., 0], enough, changes, nuisance, error, run.converged[1:])
 
 
 def watched(scenes: Sequence[Scene], length: int = LENGTH) -> list[Watched]:

@@ -13,7 +13,7 @@ from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH
 from caphy.refit.columns import Column, changes, extended, moved
-from caphy.refit.evidence import Evidence, best_offset, bounded, estimated_variance, evidence
+from caphy.refit.evidence import Evidence, bounded, estimated_variance, evidence
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
 
@@ -62,19 +62,17 @@ class Study:
         self,
         model: Model,
         columns: Sequence[Column] | None,
-        offsets: Sequence[np.ndarray | None] | None = None,
         what: str = "rolling out",
         pushes: Callable[[Watched], Pushes] | None = None,
     ) -> list[Response]:
-        """All windows against a model, their starts moved by ``offsets`` (one for each window).
+        """All windows against a model.
 
         ``pushes`` makes further forces, of no effect, to respond to. With None for columns only errors are told.
         """
         total, responses = sum(map(len, self.starts)), []
-        given = iter([None] * total if offsets is None else offsets)
         for each, starts in zip(self.watched, self.starts, strict=True):
             forces = None if pushes is None else pushes(each)
-            for response in each.respond(model, columns, {frame: next(given) for frame in starts}, forces):
+            for response in each.respond(model, columns, starts, forces):
                 wrong = 0.0 if self._expected is None else self._expected[len(responses)]
                 responses.append(replace(response, residual=response.residual - wrong))
                 if self.progress is not None:
@@ -155,8 +153,8 @@ def fit(
 ) -> Fit:
     """Change numbers of a model so that its roll-outs meet the windows.
 
-    Gauss-Newton in the numbers and the windows' starts together, with shorter steps where one makes things worse;
-    bounds are kept.
+    Gauss-Newton, with shorter steps where one makes things worse; bounds are kept. Windows start where the measurement
+    says, whatever the model: starts that followed the fit would make any fit look better than none.
 
     Args:
         responses: of the model as given, in these columns.
@@ -174,9 +172,8 @@ def refined(
     """A fit carried on."""
     step = best.step
     for _ in range(rounds):
-        offsets = [best_offset(response, variance, step) for response in best.responses]
         there = moved(best.model, best.columns, step)
-        tried = study.respond(there, best.columns, offsets, what)
+        tried = study.respond(there, best.columns, what)
         found = _judged(best.origin, there, best.columns, tried, variance, weight, best.most)
         gained = best.misfit - found.misfit
         if gained > 0:

@@ -15,6 +15,7 @@ from caphy.report.page.tracks import Track, pack
 
 FOLDER = Path(__file__).parent
 _PLOTTED_REGIONS = 12
+_RANKED = 10
 _PLOTS = 8  # in sight; the others are folded away
 
 
@@ -80,6 +81,37 @@ def tensile_page(title: str, document: dict, facts: dict[str, str]) -> str:
         plots=shown,
         facts=facts,
         style=(FOLDER / "page.css").read_text(encoding="utf-8"),
+    )
+
+
+def diagnosis_page(title: str, document: dict, pictures: Sequence[Picture], facts: dict[str, str]) -> str:
+    """The page of a diagnosis, from the figures of its JSON and pictures of forces; raises as the others."""
+    ranking = document["ranking"][:_RANKED]
+    gains = [(r["explanation"].replace("_", " "), 100 * max(r["gain"], 0), 100 * r["gain_needed"]) for r in ranking]
+    flexible = [(name, 100 * max(gain, 0), 100 * max(gain, 0)) for name, gain in document["probes"].items()]
+    shown = [
+        ("Gain of the best explanations", "%: of the misfit; line to what it needs", gains),
+        ("Gain of forces that belong to no effect", "%: of what is left in the end", flexible),
+    ]
+    held = document["held_out"]
+    if held is not None:
+        rows = zip(held["windows_before_mm"], held["windows_after_mm"], strict=True)
+        windows = [(f"window {i + 1}", after, before) for i, (before, after) in enumerate(rows)]
+        shown.append(("Held-out windows", "mm: median after, line to before", windows))
+    return (
+        _environment()
+        .get_template("diagnosis.html.j2")
+        .render(
+            title=title,
+            d=document,
+            plots=[(caption, plots.bar_plot(caption, rows, None, label, 186)) for caption, label, rows in shown],
+            pictures=[
+                {"src": base64.b64encode(p.png).decode("ascii"), "caption": p.caption, "frame": p.frame}
+                for p in pictures
+            ],
+            facts=facts,
+            style=(FOLDER / "page.css").read_text(encoding="utf-8"),
+        )
     )
 
 

@@ -93,11 +93,17 @@ def _floor(y: Callable[[float], float], floor: Value) -> str:
     )
 
 
-def bar_plot(title: str, rows: Sequence[tuple[str, Value, Value]], floor: Value) -> str:
-    """Horizontal bars of medians [mm] with a whisker to the 95th percentile: (name, median, p95)."""
-    line, left, gap = 24, 132, 10
+def bar_plot(
+    title: str,
+    rows: Sequence[tuple[str, Value, Value]],
+    floor: Value,
+    label: str = "mm: median, line to 95 %",
+    left: int = 132,
+) -> str:
+    """Horizontal bars with a whisker each, by default of medians [mm] and 95th percentiles: (name, bar, whisker)."""
+    line, gap = 24, 10
     height = gap + line * len(rows) + 34
-    high = 1.05 * max([p or 0 for _, _, p in rows] + [floor or 0, 1e-3])
+    high = 1.05 * max([max(m or 0, p or 0) for _, m, p in rows] + [floor or 0, 1e-3])
     x = _scale(0, high, left, WIDTH - RIGHT)
     body, base = "", gap + line * len(rows)
     for tick in _ticks(0, high, 4):
@@ -117,7 +123,7 @@ def bar_plot(title: str, rows: Sequence[tuple[str, Value, Value]], floor: Value)
     return (
         f'<svg class="plot" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{escape(title, True)}">'
         f"<title>{escape(title)}</title>{body}"
-        f'<text x="{(left + WIDTH) / 2:.0f}" y="{height - 4}" text-anchor="middle">mm: median, line to 95 %</text>'
+        f'<text x="{(left + WIDTH) / 2:.0f}" y="{height - 4}" text-anchor="middle">{escape(label)}</text>'
         "</svg>"
     )
 
