@@ -6,6 +6,9 @@ import base64
 import io
 import json
 import logging
+import os
+import subprocess
+import sys
 
 import anyio
 import pytest
@@ -204,3 +207,12 @@ def test_log_lines_are_json():
 
 def test_the_openapi_names_no_secret(http):
     assert "api_key" not in http.get("/openapi.json").text
+
+
+def test_nothing_is_reported_home(avatars, tmp_path):
+    """onnxruntime leaves a device id in the cache of whoever lets it report to its maker."""
+    code = "import sys, pathlib, service.avatars as found; found.load_avatars(pathlib.Path(sys.argv[1]), 8)"
+    environment = {k: v for k, v in os.environ.items() if k not in ("XDG_CACHE_HOME", "ORT_DISABLE_TELEMETRY")}
+    command = [sys.executable, "-c", code, str(avatars)]
+    subprocess.run(command, check=True, env={**environment, "HOME": str(tmp_path)})
+    assert list(tmp_path.rglob("*")) == []
