@@ -1,6 +1,8 @@
 # The service on a slim image: no torch, no compiler, no root.
-#   docker build -t caphy . && docker run --rm -p 8000:8000 caphy
-# Your own avatars: docker run --rm -p 8000:8000 -v "$PWD/avatars:/avatars:ro" -e CAPHY_AVATARS=/avatars caphy
+#   docker build -t caphy . && docker run --rm -p 8000:8000 -e CAPHY_API_KEY=... caphy
+# Your own avatars: add -v "$PWD/avatars:/avatars:ro" -e CAPHY_AVATARS=/avatars
+# It writes nothing (--read-only is fine); several workers (CAPHY_WORKERS) keep their numbers in /dev/shm.
+# docs/operation.md has the settings. tests/docker runs these steps without an engine.
 
 FROM python:3.11-slim AS build
 WORKDIR /src
