@@ -83,8 +83,7 @@ class Job:
 
 
 class Session:
-    """One client's stream. No method blocks; :meth:`finish` may run in another thread than the others, but not at the
-    same time as :meth:`next_job`.
+    """One client's stream. Every job that :meth:`next_job` gives must be finished before it is asked again.
 
     Raises Problem 404 for unknown garments and 422 for a hello that cannot be answered.
     """
@@ -104,7 +103,6 @@ class Session:
         self._queue: deque[Ticks | Restart | GetState] = deque()
         self._poses_waiting = 0
         self._kept: bytes | None = None
-        self._computing = False
         self._clock = CausalClock(self.fps, _checked_rate(hello.fps), limits.max_frames)
         self._add_credits(hello.credits)
 
@@ -124,7 +122,7 @@ class Session:
     @property
     def is_owed(self) -> bool:
         """Whether the client waits for something that it need not ask for again."""
-        return self._computing or (bool(self._queue) and self._credits > 0)
+        return bool(self._queue) and self._credits > 0
 
     def take(self, message: Poses | Credit | Reset | Rate | GetState) -> None:
         """Take a message in. Raises CaphyError, and nothing has happened, where it cannot be."""
@@ -163,7 +161,7 @@ class Session:
 
     def finish(self, job: Job, meshes: Meshes, states: Mapping[str, np.ndarray]) -> bytes | None:
         """The answer to a job that was computed, if it has one."""
-        self.states, self._number, self._computing = dict(states), job.number, False
+        self.states, self._number = dict(states), job.number
         self._tick += len(job.poses)
         if job.answered is None:
             return None
@@ -254,7 +252,6 @@ class Session:
             return None
         poses = lived[0].poses if len(lived) == 1 else np.concatenate([item.poses for item in lived])
         transl = lived[0].transl if len(lived) == 1 else np.concatenate([item.transl for item in lived])
-        self._computing = True
         shown = len(poses) - (len(answered.poses) if answered else 0)
         return Job(poses, transl, shown, lived[-1].number, answered, kept)
 
