@@ -31,18 +31,25 @@ class PartsResponse(Response):
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         try:
             with anyio.fail_after(self._seconds):
-                for piece in self._pieces():
-                    await send({"type": "http.response.body", "body": piece, "more_body": True})
+                for piece, is_last in self._pieces():
+                    await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
         except TimeoutError:  # returning before the last piece closes the connection
             log.warning("a client did not take its answer in time", extra={"seconds": self._seconds})
             scope["state"]["hold"].guard.metrics.refused.labels("slow_reader").inc()
-            return
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
 
-    def _pieces(self) -> Iterator[bytes | memoryview]:
+    def _pieces(self) -> Iterator[tuple[bytes, bool]]:
+        """Small parts joined, large ones cut, and whether a piece is the last."""
+        left = total = sum(len(part) for part in self._parts)
+        gathered, size = [], 0
         for part in self._parts:
-            if len(part) <= PIECE:
-                yield part
-            else:
-                view = memoryview(part)
-                yield from (view[start : start + PIECE] for start in range(0, len(view), PIECE))
+            view = memoryview(part)
+            while view:
+                gathered.append(view[: PIECE - size])
+                view = view[PIECE - size :]
+                size = sum(len(found) for found in gathered)
+                if size == PIECE:
+                    left -= size
+                    yield b"".join(gathered), not left
+                    gathered, size = [], 0
+        if left or not total:
+            yield b"".join(gathered), True
