@@ -56,7 +56,8 @@ class Stream(asyncio.Protocol):
 
     encoding: str
     messages: list[bytes]
-    waits: list[float] = field(default_factory=list)
+    waits: list[tuple[float, float]] = field(default_factory=list)
+    """When a pose left, and how long its meshes took [s]."""
     sent: int = 0
     lost: bool = False
 
@@ -107,7 +108,8 @@ class Stream(asyncio.Protocol):
     def _message(self, header: bytearray) -> None:
         kind = header[5]
         if kind == Kind.MESHES:
-            self.waits.append(time.perf_counter() - struct.unpack_from("<d", header, 16)[0])
+            (left,) = struct.unpack_from("<d", header, 16)
+            self.waits.append((left, time.perf_counter() - left))
             self._taken += 1
             if self._taken % 16 == 0:
                 self.write(encode_client(Credit(16)))
@@ -151,15 +153,16 @@ def trial(ports: list[int], streams: int, encoding: str, seconds: float) -> dict
         await asyncio.sleep(0.2)
         return clients
 
-    used = time.process_time()
+    used, counted_from = time.process_time(), time.perf_counter() + WARM_UP
     clients = asyncio.run(run())
     used = time.process_time() - used
-    skip = int(WARM_UP * FPS)
-    waits = 1e3 * np.concatenate([client.waits[skip:] for client in clients])
-    answered = sum(len(client.waits) for client in clients) / sum(client.sent for client in clients)
-    if any(client.lost for client in clients) or not len(waits):
+    waits = 1e3 * np.array(
+        [wait for client in clients for left, wait in client.waits if left >= counted_from] or [np.inf]
+    )
+    answered = sum(len(client.waits) for client in clients) / max(1, sum(client.sent for client in clients))
+    if any(client.lost for client in clients):
         answered = 0.0
-    p50, p99 = (float(value) for value in np.percentile(waits, [50, 99])) if len(waits) else (np.inf, np.inf)
+    p50, p99 = (float(value) for value in np.percentile(waits, [50, 99], method="lower"))
     return {"p50": p50, "p99": p99, "answered": answered, "client_cpu": used / (seconds + WARM_UP)}
 
 
@@ -195,7 +198,7 @@ def processor_seconds(pid: int) -> float:
 
 def bisect(arguments: Arguments, ports: list[int], pids: list[int]) -> int:
     """The most streams held, printing every trial."""
-    held, failed, streams = 0, arguments.most + 1, 16
+    held, failed, streams = 0, arguments.most + 1, min(16, arguments.most)
     with get_context("spawn").Pool(1) as pool:
         while failed - held > max(2, held // 16):
             before = sum(map(processor_seconds, pids))
@@ -207,6 +210,7 @@ def bisect(arguments: Arguments, ports: list[int], pids: list[int]) -> int:
                 f"{server_cpu:12.2f}{found['client_cpu']:12.2f}   {'held' if good else 'not held'}",
                 flush=True,
             )
+            time.sleep(1)
             held, failed = (max(held, streams), failed) if good else (held, min(failed, streams))
             streams = min(2 * held, arguments.most) if failed > arguments.most else (held + failed) // 2
             if held >= arguments.most:
