@@ -21,6 +21,8 @@ SUFFIXES: Final = (".npz", ".bvh")
 """Formats without code in them; .pkl and .pt may run code when read, so they are converted offline."""
 MAX_UNPACKED_BYTES: Final = 128 << 20
 MAX_SECONDS: Final = 300.0
+DAMAGE: Final = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
+"""How a reader may fail on a file that is damaged in a way nobody thought of; never the service's fault."""
 NOTES_HEADER: Final = "caphy-notes"
 SOURCE_HEADER: Final = "caphy-source"
 
@@ -77,7 +79,7 @@ def _read(path: Path, name: str, fps: float | None) -> PoseSequence:
     except CaphyError as error:
         said = str(error).replace(str(path), name).replace(" with --fps", "")
         raise Problem(422, said) from error
-    except (ArithmeticError, MemoryError, RecursionError, ValueError) as error:
+    except DAMAGE as error:
         raise Problem(422, f"{name}: cannot be read as a pose file ({type(error).__name__})") from error
     notes = tuple(note.replace(str(path), name) for note in sequence.notes)
     return PoseSequence(**{**vars(sequence), "source": name, "notes": notes})

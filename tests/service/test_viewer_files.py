@@ -139,11 +139,21 @@ def test_headers_that_promise_more_than_there_is(http):
     refused(send(http, "liar.npz", stream.getvalue()), 422, "npz")
 
 
+def archive_of(**members: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return stream.getvalue()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "status", "word"),
     [
         ("a.npz", b"", 422, "npz"),
         ("a.npz", amass()[:300], 422, "npz"),
+        ("a.npz", archive_of(poses=b"no array", trans=b"", mocap_framerate=b"30"), 422, "no array"),
+        ("a.npz", archive_of(header=b"caphy-poses"), 422, "a.npz"),
         ("a.bvh", b"HIERARCHY", 422, "a.bvh"),
         ("a.bvh", b"\xff\xfe\x00", 422, "text"),
         ("a.npz", npz(poses=np.full((3, 156), np.nan), trans=np.zeros((3, 3)), mocap_framerate=30.0), 422, "finite"),

@@ -45,7 +45,7 @@ class Archive:
         values = self._arrays[name]
         if values is None or values.dtype.kind not in "fiu":
             raise CaphyError(
-                f"{self.path}: {name} must be numbers, got {'Python objects' if values is None else values.dtype}"
+                f"{self.path}: {name} must be numbers, got {'Python objects or no array' if values is None else values.dtype}"
             )
         return values.astype(np.float64)
 
@@ -68,9 +68,10 @@ class Archive:
 
 
 def _read(file: np.lib.npyio.NpzFile, name: str) -> np.ndarray | None:
-    """One array, or none where it is an array of Python objects, which is not unpickled."""
+    """One array, or none where it is an array of Python objects, which is not unpickled, or no array at all."""
     try:
-        return file[name]
+        found = file[name]  # the bytes of what is no array
+        return found if isinstance(found, np.ndarray) else None
     except ValueError as error:
         if "allow_pickle" in str(error):
             return None
