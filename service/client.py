@@ -16,6 +16,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
+from service.encodings import EncodingName
 from service.protocol import MEDIA_TYPE, FramesRequest, FramesResponse, decode_response, encode_request
 
 
@@ -53,8 +54,13 @@ class Client:
         sequence: PoseSequence,
         garments: Sequence[str] = (),
         states: Mapping[str, np.ndarray] | None = None,
+        encoding: EncodingName = "float32",
+        normals: bool = False,
     ) -> FramesResponse:
-        """As :meth:`frames`, with the states after the last frame; give them to continue a motion."""
+        """As :meth:`frames`, with the states after the last frame; give them to continue a motion.
+
+        ``encoding`` and ``normals`` choose what travels, see docs/protocol.md.
+        """
         if sequence.frame == "camera":
             raise CaphyError(
                 f"{sequence.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; "
@@ -63,7 +69,9 @@ class Client:
         sequence = sequence.to_y_up()
         state = np.concatenate(list(states.values())) if states else np.zeros(0, np.float32)
         body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, state))
-        query = urlencode([("garment", name) for name in garments])
+        chosen = [("garment", name) for name in garments]
+        chosen += [("encoding", encoding)] * (encoding != "float32") + [("normals", "true")] * normals
+        query = urlencode(chosen)
         path = f"/avatars/{quote(avatar, safe='')}/frames" + (f"?{query}" if query else "")
         return decode_response(self._ask("POST", path, body))
 

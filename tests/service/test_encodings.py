@@ -17,6 +17,7 @@ from caphy.io.blend_shapes import blend_shapes
 from caphy.io.bundle import AvatarBundle, read_bundle
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
+from service.client import Client
 from service.encodings import Encoding, JointMotion, Meshes, decode_meshes, encode_meshes
 from service.engine import GarmentEngine
 from service.frames import Wanted, answer
@@ -192,3 +193,12 @@ def test_over_http(http, motion, bundle):
     refused(http.post(FRAMES + "?encoding=weights&normals=1", content=body_of(motion), headers=BINARY), 422, "GLB")
     asked = {**BINARY, "accept": "application/json"}
     refused(http.post(FRAMES + "?encoding=uint16", content=body_of(motion), headers=asked), 422, "binary")
+
+
+def test_the_http_client_takes_every_encoding(url, motion):
+    client = Client(url)
+    plain = client.run("shell", motion[:4])
+    packed = client.run("shell", motion[:4], ["trousers"], encoding="uint16", normals=True)
+    assert list(packed.vertices) == list(packed.normals) == ["trousers"]
+    assert 0 < distance_mm(packed.vertices["trousers"], plain.vertices["trousers"]) < STATED_MM[Encoding.UINT16]
+    assert set(client.run("shell", motion[:4], encoding="weights").weights) == set(plain.vertices)
