@@ -20,6 +20,8 @@ from caphy.io.bundle import AvatarBundle
 from service.clients.stream import StreamClient, StreamRefused
 from service.engine import GarmentEngine
 
+NODE = "node 20.10 or later must be installed: the JavaScript client is tested with its WebSocket"
+
 
 @pytest.fixture(scope="module")
 def whole(bundle: AvatarBundle, motion) -> dict[str, np.ndarray]:
@@ -196,7 +198,9 @@ def test_nobody_there():
 @pytest.mark.parametrize("encoding", ["float32", "uint16"])
 def test_javascript_streams_over_a_broken_connection(wire, motion, whole, encoding, tmp_path: Path):
     node = shutil.which("node")
-    assert node, "node (20.10 or later) must be installed: the JavaScript client is tested with it"
+    assert node, NODE
+    version = subprocess.run([node, "--version"], capture_output=True, text=True, check=True).stdout
+    assert tuple(map(int, version.lstrip("v").split(".")[:2])) >= (20, 10), f"{NODE}, got {version}"
     sent = motion[:20]
     asked = {"fps": 30, "poses": sent.poses.reshape(20, 165).tolist(), "transl": sent.transl.tolist(), "pause": 8}
     (tmp_path / "motion.json").write_text(json.dumps(asked))
