@@ -44,9 +44,8 @@ class Archive:
         self.require(name)
         values = self._arrays[name]
         if values is None or values.dtype.kind not in "fiu":
-            raise CaphyError(
-                f"{self.path}: {name} must be numbers, got {'Python objects or no array' if values is None else values.dtype}"
-            )
+            got = "Python objects or no array" if values is None else values.dtype
+            raise CaphyError(f"{self.path}: {name} must be numbers, got {got}")
         return values.astype(np.float64)
 
     def columns(self, name: str, width: int, frames: int) -> np.ndarray:
