@@ -33,7 +33,7 @@ class JsonLines(logging.Formatter):
 
 
 def log_config(level: str) -> dict[str, Any]:
-    """For :func:`logging.config.dictConfig`: the service's own words from ``level`` up, all others' from warnings up."""
+    """For :func:`logging.config.dictConfig`: our own words from ``level`` up, others' from warnings up."""
     return {
         "version": 1,
         "disable_existing_loggers": False,
