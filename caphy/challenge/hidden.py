@@ -70,16 +70,16 @@ def _pair(one: str, other: str) -> Hidden:
 ONE: Mapping[str, Hidden] = {
     hidden.name: hidden
     for hidden in (
-        _one("air_drag_normal", "air_drag_normal_quadratic", "wind_normal", coefficient=0.15),
-        _one("air_drag_normal_quadratic", "air_drag_normal", "wind_normal_quadratic", coefficient=0.2),
+        _one("air_drag_normal", "air_drag_normal_quadratic", "wind_normal", coefficient=0.35),
+        _one("air_drag_normal_quadratic", "air_drag_normal", "wind_normal_quadratic", coefficient=0.6),
         _one("air_drag_tangential", "air_drag_tangential_quadratic", "wind_tangential", coefficient=0.4),
-        _one("wind_normal", "wind_normal_quadratic", coefficient=0.1, push=(0.06, 0.0, 0.04)),
-        _one("wind_normal_quadratic", "wind_normal", coefficient=0.1, velocity=(0.7, 0.0, 0.5)),
+        _one("wind_normal", "wind_normal_quadratic", coefficient=0.2, push=(0.12, 0.0, 0.08)),
+        _one("wind_normal_quadratic", "wind_normal", coefficient=0.3, velocity=(0.7, 0.0, 0.5)),
         _one("wind_tangential", "wind_tangential_quadratic", coefficient=0.2, push=(0.2, 0.0, 0.2)),
         _one("gust", cosine=(0.13, 0.0, 0.08), sine=(0.08, 0.0, -0.13), frequency=1.2),
-        _one("uniform_acceleration", "wind_tangential", acceleration=(0.2, 0.0, 0.15)),
-        _one("pressure", pressure=0.05),
-        _one("mass_damping", "air_drag_tangential", "air_drag_normal", rate=0.6),
+        _one("uniform_acceleration", "wind_tangential", acceleration=(0.4, 0.0, 0.3)),
+        _one("pressure", pressure=0.1),
+        _one("mass_damping", "air_drag_tangential", "air_drag_normal", rate=1.2),
         _one("viscous_damping", viscosity=2.0),
         _one("weft_warp_stiffness", "shrinkage_directional", weft=60.0, warp=-20.0),
         _one("shear_stiffness", stiffness=40.0),

@@ -99,9 +99,8 @@ def table(found: Refit) -> str:
     for name, (value, low, high, unit) in found.coefficients.items():
         lines.append(f"{name:40s} {value:11.4g}   {low:.4g} to {high:.4g} {unit}")
     floor = "" if held.floor_mm is None else f"; noise alone gives {held.floor_mm:.2f} mm"
-    fall = 100 * (1 - found.misfit[1] / found.misfit[0])
     lines += [
-        f"misfit of the windows it was fitted to: {fall:.1f} % less",
+        f"misfit: {100 * found.share:.1f} % less where it was fitted, {100 * held.share:.1f} % less where it was not",
         f"held-out median distance: {held.before_mm:.2f} -> {held.after_mm:.2f} mm{floor}",
     ]
     return "\n".join([*lines, found.reason] if found.reason else lines)

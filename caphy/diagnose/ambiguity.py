@@ -30,7 +30,7 @@ SEPARATES = {
 
 def alike(found: Search, term: Term) -> list[Group]:
     """The other explanations that these measurements cannot tell from an accepted one."""
-    first, last = found.screens[0], found.screens[-1]
+    last = found.screens[-1]
     normal, _ = last.evidence.normal
     label, change = _place(found, term, last.places)
     if label is None:
@@ -38,7 +38,7 @@ def alike(found: Search, term: Term) -> list[Group]:
     mine = last.places[label]
     wanted = normal[:, mine] @ change
     size = float(change @ normal[np.ix_(mine, mine)] @ change)
-    fall = first.misfit - min(term.tried.values())
+    fall = max(term.tried.values())
     similar = []
     for group in last.groups:
         if group.name == term.group.name:
@@ -48,7 +48,7 @@ def alike(found: Search, term: Term) -> list[Group]:
             continue
         inner = normal[np.ix_(place, place)] + 1e-9 * np.diag(np.diag(normal)[place]) + 1e-300 * np.eye(len(place))
         copied = float(wanted[place] @ np.linalg.solve(inner, wanted[place])) / max(size, 1e-300)
-        out = group.label in term.tried and first.misfit - term.tried[group.label] < _APART * fall
+        out = group.label in term.tried and term.tried[group.label] < _APART * fall
         if copied > ALIKE**2 and not out:
             similar.append(group)
     return similar

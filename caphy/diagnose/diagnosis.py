@@ -25,10 +25,6 @@ from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import half_widths
 from caphy.refit.study import Progress, Study
 
-PROVEN = 1 / 3
-"""Of the share of the misfit that what was found takes away where it was fitted: what it must take away of the misfit
-of held-out measurements, or it is taken back."""
-
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -150,13 +146,12 @@ def diagnose(
     start = model if known is None else known.model
     found = search(study, start, model, on_body, known)
     errors = None
-    if held_out and found.terms:
+    if held_out and found.fit is not None:
         columns, _ = columns_of(found.screens[0].groups)
         expected = None if known is None else known.correction
         variance = found.screens[0].variance
-        errors = held_out_errors(
-            scenes[more:], start, found.model, variance, progress, () if known is None else columns, expected
-        )
+        everything = () if known is None else columns
+        errors = held_out_errors(scenes[more:], found.fit, variance, progress, everything, expected)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
 
@@ -172,12 +167,12 @@ def _concluded(
 ) -> Diagnosis:
     first, notes = found.screens[0], []
     terms = found.terms
-    taken = 0.0 if found.fit is None else 1 - found.fit.misfit / first.misfit
-    if terms and errors is not None and errors.share < PROVEN * taken:
+    taken = found.taken
+    if terms and errors is not None and errors.contradicts(taken):
         names = ", ".join(term.group.label for term in terms)
         notes.append(
             f"{names} was taken back: it takes away {100 * taken:.0f} % of the misfit where it was fitted, and "
-            f"{100 * errors.share:.0f} % on held-out measurements"
+            f"{100 * errors.share:.0f} % (error {100 * errors.share_error:.0f} %) on held-out measurements"
         )
         terms = []
     verdict = "nothing"
@@ -234,7 +229,7 @@ def _ranking(found: Search) -> list[Ranked]:
         needed = first.needed_by(score)
         size = np.sqrt(needed * first.misfit / np.maximum(np.diag(normal)[place], 1e-300))
         label = score.group.label
-        refitted = 1 - tried[label] / first.misfit if label in tried else None
+        refitted = tried.get(label)
         linear = dict(zip(names, map(float, score.change), strict=True))
         noticed = {name: float(s) for name, s in zip(names, size, strict=True) if np.isfinite(s) and s < 1e12}
         ranking.append(

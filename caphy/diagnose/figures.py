@@ -33,6 +33,7 @@ def figures(diagnosis: Diagnosis) -> dict:
             "after_mm": held.after_mm,
             "noise_mm": held.floor_mm,
             "share_of_misfit_gone": held.share,
+            "its_standard_error": held.share_error,
             "windows_before_mm": held.before.tolist(),
             "windows_after_mm": held.after.tolist(),
         },

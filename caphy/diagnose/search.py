@@ -13,9 +13,9 @@ from caphy.diagnose.probes import probes_of
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
-from caphy.refit.evidence import Evidence, evidence, robust_weights
+from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.responses import Response
-from caphy.refit.study import Fit, Study, fit, picked, refined
+from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined
 
 LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
@@ -31,6 +31,9 @@ MOST_TERMS = 3
 """Effects that are added at most."""
 FINALISTS = 4
 """Explanations that are refitted on real roll-outs in each round, at most."""
+
+SMALL = 0.3
+"""Gain below which an effect moves the cloth so little that tangents alone rank it; roll-outs differ by more."""
 
 _CLOSE = 0.6  # of the best gain: what is refitted
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
@@ -73,7 +76,7 @@ class Screen:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """What was accepted in a round: the group, the fit with it, and what was refitted beside it (label -> misfit)."""
+    """Accepted in a round: the group, the fit with it, and the share of the misfit that each candidate took."""
 
     group: Group
     fit: Fit
@@ -88,6 +91,11 @@ class Search:
     terms: list[Term] = field(default_factory=list)
     removed: list[str] = field(default_factory=list)
     fit: Fit | None = None
+
+    @property
+    def taken(self) -> float:
+        """Share of the misfit that what was accepted takes away."""
+        return 0.0 if self.fit is None else self.fit.share
 
     @property
     def model(self) -> Model:
@@ -167,34 +175,55 @@ def _next_term(study: Study, found: Search) -> Term | None:
     near = finalists(last)
     if not near:
         return None
-    before = () if found.fit is None else found.fit.columns
-    fits = {score.group.label: _fitted(study, last, score, before, rounds=1) for score in near}
-    reach = {label: found_fit.misfit - found_fit.promise for label, found_fit in fits.items()}
-    leader = min(reach, key=lambda label: reach[label])
-    fits[leader] = refined(study, fits[leader], last.variance, last.evidence.weight, f"fitting {leader}")
-    for label, reached in reach.items():
-        if label != leader and reached < fits[leader].misfit and not fits[label].converged:
-            fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
-    fall = last.misfit - min(f.misfit for f in fits.values())
-    if fall < max(last.needed, _SECOND * _taken(found)) * last.misfit:
+    if near[0].gain < SMALL:
+        shares = {score.group.label: score.gain for score in near}
+        chosen = _simplest(near, shares)
+        fits = {chosen.group.label: _fitted(study, found, chosen, ROUNDS)}
+    else:
+        fits = {score.group.label: _fitted(study, found, score, rounds=1) for score in near}
+        shares = {label: each.share for label, each in fits.items()}
+        chosen = _simplest(near, shares)
+        label = chosen.group.label
+        fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
+    best = fits[chosen.group.label]
+    more = best.share - found.taken
+    if more < max(last.needed * last.misfit / found.screens[0].misfit, _SECOND * found.taken):
         return None
-    equal = [score for score in near if last.misfit - fits[score.group.label].misfit >= _TIE * fall]
-    chosen = min(equal, key=lambda score: (score.size, fits[score.group.label].misfit)).group
-    return Term(chosen, fits[chosen.label], {label: f.misfit for label, f in fits.items()})
+    return Term(chosen.group, best, shares)
 
 
-def _taken(found: Search) -> float:
-    """Share of the misfit that what was accepted took away."""
-    return 0.0 if found.fit is None else 1 - found.fit.misfit / found.screens[0].misfit
+def _simplest(near: Sequence[Score], shares: dict[str, float]) -> Score:
+    """The one that takes most of the misfit away, or of those as good the one with the fewest numbers."""
+    enough = _TIE * max(shares.values())
+    equal = [score for score in near if shares[score.group.label] >= enough]
+    return min(equal, key=lambda score: (score.size, -shares[score.group.label]))
 
 
-def _fitted(study: Study, last: Screen, score: Score, before: Sequence[Column], rounds: int) -> Fit:
-    """An explanation refitted beside those accepted before, by a few steps."""
+def _fitted(study: Study, found: Search, score: Score, rounds: int) -> Fit:
+    """An explanation fitted beside those accepted before, by a few steps."""
+    first, last = found.screens[0], found.screens[-1]
     every, _ = columns_of(last.groups)
+    before = () if found.fit is None else found.fit.columns
     columns = (*before, *(column for column in score.group.columns if column not in before))
     responses = picked(last.responses, [every.index(column) for column in columns])
     what = f"trying {score.group.label}"
-    return fit(study, last.model, columns, responses, last.variance, last.evidence.weight, what, rounds)
+    start = fit(study, last.model, columns, responses, last.variance, last.evidence.weight, what, 0)
+    if found.fit is not None:  # told from where the search began
+        known, _ = columns_of(first.groups)
+        start = replace(
+            start,
+            origin=first.model,
+            first=evidence(
+                picked(first.responses, [known.index(c) for c in columns]), first.variance, start.evidence.weight
+            ),
+        )
+    return refined(study, start, last.variance, last.evidence.weight, what, rounds)
+
+
+def _told(screen: Screen, columns: Sequence[Column]) -> Evidence:
+    """What a screen says of some columns."""
+    every, _ = columns_of(screen.groups)
+    return screen.evidence.picked([every.index(column) for column in columns])
 
 
 def _eliminate(study: Study, found: Search) -> None:
@@ -204,11 +233,22 @@ def _eliminate(study: Study, found: Search) -> None:
     first = found.screens[0]
     for term in list(found.terms[:-1]):
         label = term.group.label
+        if _lost(found.fit, term) > _DISPENSABLE:
+            continue
         others = [t for t in found.terms if t is not term]
         columns = tuple(c for group in (t.group for t in others) for c in group.columns)
         start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
         responses = study.respond(start, columns, f"without {label}")
         without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
-        if without.misfit - found.fit.misfit < _DISPENSABLE * first.misfit:
-            found.removed.append(label)
-            found.terms, found.fit = others, without
+        found.removed.append(label)
+        found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns))
+
+
+def _lost(fitted: Fit, term: Term) -> float:
+    """Share of the misfit that comes back without a term, by tangents, the other numbers free."""
+    gone = np.array([column in term.group.columns for column in fitted.columns])
+    known, change = fitted.evidence, np.where(gone, -fitted.change, 0.0)
+    normal, right = known.normal
+    change[~gone] = ridged(normal[np.ix_(~gone, ~gone)], (right - normal @ change)[~gone], 1e-9)
+    here, there = float((known.weight * known.c).sum()), float(known.misfit(change).sum())
+    return (there - here) / there

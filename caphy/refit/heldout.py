@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.responses import Response
-from caphy.refit.study import SNAPPED, Progress, Study
+from caphy.refit.study import Fit, Progress, Study, picked, share_gone
+
+PROVEN = 1 / 3
+"""Of the share of the misfit that a fit takes away: what it must take away on held-out measurements."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +25,8 @@ class HeldOut:
         before_mm, after_mm: of the model as it was, and as it is.
         floor_mm: what the noise of the measurement alone gives; none if it is not known.
         before, after: median of each window (W,) [mm].
-        share: of the misfit that is gone, the windows' starts free as in a fit: finer than medians, which noise
-            dominates.
+        share: of the misfit that is gone, as in :func:`share_gone`: finer than medians, which noise dominates.
+        share_error: its standard error over windows.
     """
 
     before_mm: float
@@ -34,39 +35,46 @@ class HeldOut:
     before: np.ndarray
     after: np.ndarray
     share: float
+    share_error: float
+
+    def contradicts(self, share: float) -> bool:
+        """Whether less is gone than a third of a share gone elsewhere, by more than a standard error."""
+        return self.share + self.share_error < PROVEN * share
 
 
 def held_out_errors(
     scenes: Sequence[Scene],
-    before: Model,
-    after: Model,
+    fitted: Fit,
     variance: np.ndarray,
     progress: Progress | None = None,
     columns: Sequence[Column] = (),
     known: Mapping[str, float] | None = None,
 ) -> HeldOut:
-    """Roll out both models on held-out scenes.
+    """Roll out a model before and after a fit on held-out scenes.
 
     ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
     """
-    study = Study(scenes, progress=progress)
-    old = study.correct(study.respond(before, columns, "held-out windows"), columns, known or {})
-    new = study.respond(after, (), "held-out windows")
-    noise = [measurement_noise(scene.measurement) for scene in scenes]
-    stated = [1e3 * found.median for found in noise if found is not None]
-    return judged(old, new, variance, float(np.median(stated)) if stated else None)
+    return judged(Study(scenes, progress=progress), fitted, variance, columns, known or {})
 
 
 def judged(
-    old: Sequence[Response], new: Sequence[Response], variance: np.ndarray, floor_mm: float | None = None
+    study: Study,
+    fitted: Fit,
+    variance: np.ndarray,
+    columns: Sequence[Column] = (),
+    known: Mapping[str, float] | None = None,
 ) -> HeldOut:
-    """Windows before and after; one that gets much worse counts no more than twice what it did (a fold that snaps)."""
-    first = evidence([replace(r, columns=r.columns[..., :0]) for r in old], variance)
-    first = replace(first, weight=robust_weights(first))
-    was = first.weight * first.c
-    now = np.minimum(first.weight * evidence(new, variance).c, SNAPPED * was)
+    """The same on the windows of a study."""
+    every = (*columns, *(column for column in fitted.columns if column not in columns))
+    old = study.correct(study.respond(fitted.origin, every, "held-out windows"), every, known or {})
+    new = study.respond(fitted.model, fitted.columns, "held-out windows")
+    before = evidence(picked(old, [every.index(column) for column in fitted.columns]), variance)
+    before = replace(before, weight=robust_weights(before))
+    gone, error = share_gone(before, evidence(new, variance, before.weight), fitted.change)
     errors = [[1e3 * response.error for response in each] for each in (old, new)]
     medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
     pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
-    gone = 1 - float(now.sum() / was.sum())
-    return HeldOut(pooled[0], pooled[1], floor_mm, medians[0], medians[1], gone)
+    noise = [measurement_noise(scene.measurement) for scene in study.scenes]
+    stated = [1e3 * found.median for found in noise if found is not None]
+    floor = float(np.median(stated)) if stated else None
+    return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,12 +16,12 @@ from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, addition, extended, moved, tunable
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.heldout import HeldOut, held_out_errors, judged
+from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors, judged
 from caphy.refit.intervals import half_widths
-from caphy.refit.study import FEWEST, Fit, Progress, Study, fit
+from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked
 
-NOT_WORSE = 0.99
-"""The held-out error must fall at least to this share of what it was."""
+LEAST = 0.01
+"""Share of the held-out misfit that must go in any case."""
 DISPENSABLE = 0.02
 """Share of the misfit whose loss does not keep an effect."""
 
@@ -38,7 +38,7 @@ class Refit:
         coefficients: fitted numbers, name -> (value, low, high, unit), intervals of 95 %.
         held_out: error before and after.
         reason: why effects were taken back, in words.
-        misfit: whitened chi2 of the training windows before and after.
+        share: of the misfit of the windows it was fitted to, what the fit takes away.
     """
 
     model: Model
@@ -47,7 +47,7 @@ class Refit:
     coefficients: dict[str, tuple[float, float, float, str]]
     held_out: HeldOut
     reason: str
-    misfit: tuple[float, float]
+    share: float
 
 
 def refit(
@@ -73,20 +73,17 @@ def refit(
     proof = None if apart else _split(study)
     fitted, first, removed = _fitted(study, model, names)
     variance = first.variance
-    if proof is None:
-        errors = held_out_errors(apart, model, fitted.model, variance, progress)
-    else:
-        before, after = (proof.respond(each, (), "held-out windows") for each in (model, fitted.model))
-        errors = judged(before, after, variance)
+    errors = held_out_errors(apart, fitted, variance, progress) if proof is None else judged(proof, fitted, variance)
     kept = tuple(name for name in names if name not in removed)
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
-    if errors.after_mm > NOT_WORSE * errors.before_mm:
+    if errors.share < max(PROVEN * fitted.share, LEAST):
         reason = (
-            f"the held-out error must fall, but went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm: "
+            f"on held-out measurements the misfit must fall by a third of what it falls by where the model is fitted "
+            f"({100 * fitted.share:.1f} %) and by {100 * LEAST:.0f} %, but falls by {100 * errors.share:.1f} %: "
             f"{', '.join(kept) or 'the new parameters'} refused"
         )
-        return Refit(model, (), names, _numbers(fitted, model), errors, reason, (first.misfit, fitted.misfit))
-    return Refit(fitted.model, kept, removed, _numbers(fitted, model), errors, reason, (first.misfit, fitted.misfit))
+        return Refit(model, (), names, _numbers(fitted, model), errors, reason, fitted.share)
+    return Refit(fitted.model, kept, removed, _numbers(fitted, model), errors, reason, fitted.share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +125,8 @@ def _fitted(study: Study, model: Model, names: tuple[str, ...]) -> tuple[Fit, _F
         name = min(trials, key=lambda each: trials[each].misfit)
         if trials[name].misfit - best.misfit > DISPENSABLE * first.misfit:
             break
-        best = trials[name]
+        kept = [columns.index(column) for column in trials[name].columns]
+        best = replace(trials[name], origin=model, first=evidence(picked(responses, kept), variance, weight))
         removed.append(name)
     return best, first, tuple(removed)
 

@@ -28,6 +28,7 @@ _SETTLED = 0.01  # of the misfit: what a further Gauss-Newton step must promise
 
 SNAPPED = 2.0
 """Times its first misfit: what a window may count at most."""
+_ROUGH = 0.05  # of the misfit: what differs between roll-outs of almost the same model, because folds snap
 _FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
 
 Progress = Callable[[str, int, int], None]
@@ -105,6 +106,7 @@ class Fit:
         origin: the model that was given.
         model: with the fitted numbers.
         columns: what was fitted.
+        first: what the windows said at the origin, in these columns.
         responses: the windows at the fitted model, in these columns.
         evidence: what they say.
         misfit: weighted chi2 over all windows; a window that gets much worse than it was at the origin counts no more
@@ -116,6 +118,7 @@ class Fit:
     origin: Model
     model: Model
     columns: tuple[Column, ...]
+    first: Evidence
     responses: list[Response]
     evidence: Evidence
     misfit: float
@@ -126,6 +129,11 @@ class Fit:
     def change(self) -> np.ndarray:
         """Of each number since the origin (K,)."""
         return changes(extended(self.origin, self.columns), self.model, self.columns)
+
+    @property
+    def share(self) -> float:
+        """Of the misfit, what the fit takes away."""
+        return share_gone(self.first, self.evidence, self.change)[0]
 
     @property
     def step(self) -> np.ndarray:
@@ -139,6 +147,20 @@ class Fit:
         """By how much that change should lower the misfit."""
         (normal, right), step = self.evidence.normal, self.step
         return float(2 * step @ right - step @ normal @ step)
+
+
+def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[float, float]:
+    """The share of the misfit that a change (K,) takes away, by tangents from either side, and its standard error.
+
+    The misfits of two roll-outs differ by more than small effects do, because folds snap here in one and there in the
+    other. Tangents tell what the change itself does: forwards from the model before, and backwards from the one after.
+    The error is that of a sum over windows.
+    """
+    zero = np.zeros_like(change)
+    old, ahead = before.misfit(zero), before.misfit(change)
+    back, new = after.misfit(-change), after.misfit(zero)
+    falls = 0.5 * ((old - ahead) / max(old.sum(), 1e-300) + (back - new) / max(back.sum(), 1e-300))
+    return float(falls.sum()), float(np.sqrt(len(falls)) * falls.std(ddof=1)) if len(falls) > 1 else np.inf
 
 
 def fit(
@@ -175,10 +197,11 @@ def refined(
         there = moved(best.model, best.columns, step)
         tried = study.respond(there, best.columns, what)
         found = _judged(best.origin, there, best.columns, tried, variance, weight, best.most)
+        found = replace(found, first=best.first)
         gained = best.misfit - found.misfit
-        if gained > 0:
+        if gained > -_ROUGH * best.misfit:
             best, step = found, found.step
-            if min(best.promise, gained) < _SETTLED * best.misfit:
+            if best.promise < _SETTLED * best.misfit:
                 return replace(best, converged=True)
         elif best.promise < _FUTILE * best.misfit:
             return best
@@ -206,4 +229,4 @@ def _judged(
     each = known.weight * known.c
     most = SNAPPED * each if most is None else most
     known = replace(known, weight=known.weight * np.minimum(1, most / np.maximum(each, 1e-300)))
-    return Fit(origin, model, columns, responses, known, float((known.weight * known.c).sum()), most)
+    return Fit(origin, model, columns, known, responses, known, float((known.weight * known.c).sum()), most)

@@ -10,12 +10,15 @@ import pytest
 from explicit_cloth import measured, simulate
 
 from caphy.cli import main
+from caphy.diagnose.base import from_base
 from caphy.diagnose.diagnosis import diagnose
 from caphy.diagnose.figures import figures, sentences
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement, write_measurement
+from caphy.measure.scene import Scene
 from caphy.refit.refit import refit
+from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 DRAG = 0.6  # kg/m^2/s against the velocity: a rate of 3 1/s on cloth of 0.2 kg/m^2
@@ -95,6 +98,17 @@ def test_parameters_that_are_off_are_called_that(plain):
     assert abs(change.value - (1 / 2.5 - 1)) < 0.1
 
 
+def test_what_base_measurements_show_is_not_named(plain, dragged):
+    """A model that is off in the base measurements as well: only what came after is missing."""
+    stiff = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * 1.2, lame_mu=11.1 * 1.2)
+    known = from_base(Study([Scene.of(plain)]), stiff, False)
+    assert abs(known.correction["strain_stvk.lame_mu"] - (1 / 1.2 - 1)) < 0.05
+    found = diagnose(stiff, dragged[:1], known, dragged[1:])
+    assert found.found == ("mass_damping",)
+    assert abs(found.coefficients["mass_damping.rate"].value - 3.0) < 0.3
+    assert diagnose(stiff, [taken(3)], known).verdict == "nothing"
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -122,6 +136,9 @@ def test_the_commands_write_what_they_say(tmp_path, dragged, capsys):
     said = capsys.readouterr().out
     assert "caphy refit" in said and "--add mass_damping" in said
     assert json.loads((tmp_path / "d" / "diagnosis.json").read_text())["found"] == ["mass_damping"]
+    page = (tmp_path / "d" / "diagnosis.html").read_text()
+    assert "The model lacks mass_damping" in page
+    assert page.count("data:image/png;base64") >= 3
     better = tmp_path / "better.json"
     proof = ["--held-out", str(tmp_path / "m1.npz")]
     assert main(["refit", model, measured_path, "--add", "mass_damping", *proof, "-o", str(better)]) == 0
