@@ -28,9 +28,11 @@ class GarmentEngine:
         self.vertex_count = len(garment.mesh.vertices)
         self.normals = VertexNormals(garment.mesh.faces, self.vertex_count)
         self._chunk = chunk
-        self._weights = blend_shapes(garment).tensor
-        self._session = _session(garment, self._weights)
+        self._weights = ""
+        self._session = _session(garment.name, garment.onnx)
         self._require_interface()
+        self._weights = blend_shapes(garment).tensor
+        self._session = _session(garment.name, with_output(garment.onnx, self._weights))
         rest = np.zeros((2 * chunk, JOINT_COUNT, 3), np.float32), np.zeros((2 * chunk, 3), np.float32)
         if not np.isfinite(self.run(*rest, self.initial_state())[0]).all():  # also warms every buffer up
             raise CaphyError(f"garment {self.name!r}: the rest pose gives vertices that are not finite")
@@ -71,7 +73,6 @@ class GarmentEngine:
             "next_state": [self.state_size],
         }
         tensors = [*self._session.get_inputs(), *self._session.get_outputs()]
-        tensors = [t for t in tensors if t.name != self._weights]
         found = {t.name: t.shape if t.name.endswith("state") else t.shape[1:] for t in tensors}
         if found != expected or any(t.type != "tensor(float)" for t in tensors):
             raise CaphyError(
@@ -80,15 +81,14 @@ class GarmentEngine:
             )
 
 
-def _session(garment: BundledGarment, weights: str) -> onnxruntime.InferenceSession:
+def _session(name: str, content: bytes) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
     try:
-        content = with_output(garment.onnx, weights)
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises classes of its own, not exported
         raise CaphyError(
-            f"garment {garment.name!r}: onnxruntime cannot load its graph ({error}); export the avatar again"
+            f"garment {name!r}: onnxruntime cannot load its graph ({error}); export the avatar again"
         ) from error

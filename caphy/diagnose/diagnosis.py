@@ -25,6 +25,9 @@ from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import half_widths
 from caphy.refit.study import Progress, Study
 
+NOT_WORSE = 0.97
+"""Where held-out misfits contradict, the median error must at least fall to this share, or what was found goes."""
+
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -168,11 +171,12 @@ def _concluded(
     first, notes = found.screens[0], []
     terms = found.terms
     taken = found.taken
-    if terms and errors is not None and errors.contradicts(taken):
+    if terms and errors is not None and errors.contradicts(taken) and errors.after_mm > NOT_WORSE * errors.before_mm:
         names = ", ".join(term.group.label for term in terms)
         notes.append(
             f"{names} was taken back: it takes away {100 * taken:.0f} % of the misfit where it was fitted, and "
-            f"{100 * errors.share:.0f} % (error {100 * errors.share_error:.0f} %) on held-out measurements"
+            f"{100 * errors.share:.0f} % (error {100 * errors.share_error:.0f} %) on held-out measurements, "
+            f"where the median went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
         )
         terms = []
     verdict = "nothing"

@@ -15,7 +15,7 @@ from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.responses import Response
-from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined
+from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined, share_gone
 
 LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
@@ -37,7 +37,7 @@ SMALL = 0.3
 
 _CLOSE = 0.6  # of the best gain: what is refitted
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
-_SECOND = 0.1  # of the share that the first one took away: what a further effect must take away at least
+_FURTHER = 0.05  # of the misfit that is left: what a further effect must take away at least
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 
 
@@ -186,8 +186,9 @@ def _next_term(study: Study, found: Search) -> Term | None:
         label = chosen.group.label
         fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
     best = fits[chosen.group.label]
-    more = best.share - found.taken
-    if more < max(last.needed * last.misfit / found.screens[0].misfit, _SECOND * found.taken):
+    since = changes(extended(last.model, best.columns), best.model, best.columns)
+    more, _ = share_gone(_told(last, best.columns), best.evidence, since)
+    if more < max(last.needed, _FURTHER if found.terms else 0.0):
         return None
     return Term(chosen.group, best, shares)
 
