@@ -100,10 +100,10 @@ def _answer(diagnosis: Diagnosis) -> str:
         return f"No effect is missing: the parameters of {_listed(list(diagnosis.groups))} are off."
     if diagnosis.verdict == "none of these":
         gain = 100 * diagnosis.outside.gains[diagnosis.outside.best]
-        terms = diagnosis.search.terms
-        after = f" after {' and '.join(term.group.label for term in terms)}" if terms else ""
+        found = diagnosis.outside.after
+        whole = f"what is left after {' and '.join(found)}" if found else "the misfit"
         return (
-            f"Something is missing that none of the known effects explains: of what is left{after}, a force that "
+            f"Something is missing that none of the known effects explains: of {whole}, a force that "
             f"depends on {diagnosis.outside.best} takes away {gain:.0f} %, the best known effect "
             f"{100 * diagnosis.outside.library:.0f} %. Write it with: caphy effects new my_effect"
         )
