@@ -63,11 +63,14 @@ def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
 
 
 def _diagnosed(command: Diagnose, model: Model) -> Diagnosis:
+    import torch
+
     from caphy.body.model import BodyModel
     from caphy.diagnose.diagnosis import diagnose
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
 
+    torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
     read = [
         [read_measurement(path) for path in paths] for paths in (command.measurements, command.base, command.held_out)
     ]

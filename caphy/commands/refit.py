@@ -61,10 +61,14 @@ def main(arguments: list[str]) -> None:
 
 
 def _refit(command: RefitCommand, model: Model) -> None:
+    import torch
+
     from caphy.body.model import BodyModel
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
     from caphy.refit.refit import refit
+
+    torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
 
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
