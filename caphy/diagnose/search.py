@@ -33,7 +33,8 @@ FINALISTS = 4
 """Explanations that are refitted on real roll-outs in each round, at most."""
 
 SMALL = 0.3
-"""Gain below which an effect moves the cloth so little that tangents alone rank it; roll-outs differ by more."""
+"""Gain below which an effect moves the cloth so little that tangents alone rank it; roll-outs differ by more.
+Only where base measurements have told the parameters: a stiffness that is far off does not act linearly."""
 
 _CLOSE = 0.6  # of the best gain: what is refitted
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
@@ -119,7 +120,7 @@ def search(
     found = Search()
     found.screens.append(screen(study, model, original, on_body, base))
     while len(found.terms) < MOST_TERMS:
-        term = _next_term(study, found)
+        term = _next_term(study, found, base is not None)
         if term is None:
             break
         found.terms.append(term)
@@ -170,19 +171,20 @@ def finalists(last: Screen) -> list[Score]:
     return [score for score in sure if score.gain >= _CLOSE * sure[0].gain][:FINALISTS]
 
 
-def _next_term(study: Study, found: Search) -> Term | None:
+def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | None:
     last = found.screens[-1]
     near = finalists(last)
     if not near:
         return None
-    if near[0].gain < SMALL:
+    if sure_of_parameters and near[0].gain < SMALL:
         shares = {score.group.label: score.gain for score in near}
-        chosen = _simplest(near, shares)
+        chosen = _simplest(near, shares, sure_of_parameters)
         fits = {chosen.group.label: _fitted(study, found, chosen, ROUNDS)}
     else:
-        fits = {score.group.label: _fitted(study, found, score, rounds=1) for score in near}
+        rounds = 1 if sure_of_parameters else ROUNDS
+        fits = {score.group.label: _fitted(study, found, score, rounds) for score in near}
         shares = {label: each.share for label, each in fits.items()}
-        chosen = _simplest(near, shares)
+        chosen = _simplest(near, shares, sure_of_parameters)
         label = chosen.group.label
         fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
     best = fits[chosen.group.label]
@@ -193,11 +195,15 @@ def _next_term(study: Study, found: Search) -> Term | None:
     return Term(chosen.group, best, shares)
 
 
-def _simplest(near: Sequence[Score], shares: dict[str, float]) -> Score:
-    """The one that takes most of the misfit away, or of those as good the one with the fewest numbers."""
+def _simplest(near: Sequence[Score], shares: dict[str, float], sure_of_parameters: bool) -> Score:
+    """The one that takes most of the misfit away, or of those as good the one with the fewest numbers.
+
+    Parameters that nobody has fitted come first: they are off more often than effects are missing.
+    """
     enough = _TIE * max(shares.values())
     equal = [score for score in near if shares[score.group.label] >= enough]
-    return min(equal, key=lambda score: (score.size, -shares[score.group.label]))
+    first = [score for score in equal if score.group.own and not sure_of_parameters] or equal
+    return min(first, key=lambda score: (score.size, -shares[score.group.label]))
 
 
 def _fitted(study: Study, found: Search, score: Score, rounds: int) -> Fit:

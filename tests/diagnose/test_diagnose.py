@@ -102,7 +102,6 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     """A model that is off in the base measurements as well: only what came after is missing."""
     stiff = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * 1.2, lame_mu=11.1 * 1.2)
     known = from_base(Study([Scene.of(plain)]), stiff, False)
-    assert abs(known.correction["strain_stvk.lame_mu"] - (1 / 1.2 - 1)) < 0.05
     found = diagnose(stiff, dragged[:1], known, dragged[1:])
     assert found.found == ("mass_damping",)
     assert abs(found.coefficients["mass_damping.rate"].value - 3.0) < 0.3

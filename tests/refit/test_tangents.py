@@ -10,9 +10,8 @@ from explicit_cloth import measured, simulate
 
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
-from caphy.measure.windows import StartStates
 from caphy.refit.columns import Column, moved
-from caphy.refit.responses import START_MODES, Watched
+from caphy.refit.responses import Watched
 
 DAMPED = Model(
     0.2,
@@ -84,23 +83,3 @@ def test_holes_leave_the_rest_of_a_window_as_it_was(watched):
     found = next(holed.respond(DAMPED, (), [START]))
     assert found.seen.tolist() == [True, False, True, True, True]
     assert not found.residual[1].any()
-
-
-def test_starts_follow_the_smooth_motion_better_than_balanced_positions():
-    """Against the explicit integrator's own velocities: the truth that noise of a millimetre hides."""
-    positions, keys = simulate(seconds=1.0, settle=1.5)
-    fps = measured(positions, keys).fps
-    noisy = Watched(Scene.of(measured(positions, keys, seed=1)))
-    truth = Watched(Scene.of(measured(positions, keys, 0.0)))._tracks
-    starts = StartStates(noisy.scene, noisy.scene.potential(DAMPED))
-    every = np.ones(positions.shape[1], bool)
-    worse = []
-    for frame in (6, 12, 18):
-        central = truth[frame + 1] - truth[frame - 1], truth[frame + 2] - truth[frame - 2]
-        velocity = (8 * central[0] - central[1])[:START_MODES] * fps / 12
-        balanced = starts.state(frame)
-        sharp = noisy._sharpened(balanced, frame)
-        told = [noisy.projection.of(s.v.numpy(), every)[:START_MODES] for s in (sharp, balanced)]
-        wrong = [np.linalg.norm(each - velocity) for each in told]
-        worse.append(wrong[1] / wrong[0])
-    assert min(worse) > 1.5
