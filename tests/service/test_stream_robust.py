@@ -10,6 +10,7 @@ import time
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from unittest.mock import patch
 from urllib.parse import urlsplit
@@ -65,10 +66,11 @@ def address(url: str) -> str:
 
 
 def opened(address: str, *first: bytes) -> ClientConnection:
-    """A connection on which messages were sent."""
+    """A connection on which messages were sent, as far as the service let them; :func:`ending` tells why it ended."""
     found = connect(address, compression=None, max_size=None).__enter__()
-    for message in first:
-        found.send(message)
+    with suppress(ConnectionClosed):
+        for message in first:
+            found.send(message)
     return found
 
 
