@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -86,19 +86,18 @@ class Watched:
     def respond(
         self,
         model: Model,
-        columns: Sequence[Column] | None,
+        columns: Sequence[Column],
         starts: Sequence[int],
         pushes: Pushes | None = None,
     ) -> Iterator[Response]:
         """The windows that start at given frames, one after another.
 
-        ``pushes`` are further forces to respond to, after the columns. Without columns (None) nothing but the errors is
-        told, at a fraction of the cost.
+        ``pushes`` are further forces to respond to, after the columns.
         """
         potential = self.scene.potential(model)
         newton = Newton(potential, self.scene.fixed, TOLERANCE)
-        full = self.scene.potential(extended(model, columns or ()))
-        tangents, states = Tangents(self.scene, newton, full, columns or (), pushes), StartStates(self.scene, potential)
+        full = self.scene.potential(extended(model, columns))
+        tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = Simulator(newton, self.scene.motion, pins=self.scene.pins)  # type: ignore[arg-type]
         for frame in starts:
@@ -107,9 +106,6 @@ class Watched:
             state = states.state(frame) if sharp is None else sharp
             errors = self._start(BLURRED if sharp is None else self._blur)
             run = roll_out(self.scene, simulator, state, frame, length=self.length)
-            if columns is None:
-                yield self._plain(frame, run)
-                continue
             moved = tangents.along(recorder.stages, errors, self.length, SUBSTEPS, SDIRK2())
             if frame not in self._steps:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
@@ -163,14 +159,6 @@ class Watched:
         zero = np.zeros_like(fields)
         x, v = np.concatenate([blur[0] * fields, zero]), np.concatenate([zero, blur[1] * fields])
         return Start(torch.from_numpy(x), torch.from_numpy(v))
-
-    def _plain(self, frame: int, run: WindowRun) -> Response:
-        """The errors alone."""
-        count = self.projection.modes.shape[1]
-        nothing = np.zeros((self.length, 0, run.positions.shape[1], 3))
-        step = np.zeros_like(run.positions[1:])
-        response = self._response(frame, run, nothing, step, 0)
-        return replace(response, nuisance=np.zeros((self.length, count, 3, 0)))
 
     def _response(self, frame: int, run: WindowRun, moved: np.ndarray, step: np.ndarray, count: int) -> Response:
         measurement = self.scene.measurement

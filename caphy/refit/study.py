@@ -63,13 +63,13 @@ class Study:
     def respond(
         self,
         model: Model,
-        columns: Sequence[Column] | None,
+        columns: Sequence[Column],
         what: str = "rolling out",
         pushes: Callable[[Watched], Pushes] | None = None,
     ) -> list[Response]:
         """All windows against a model.
 
-        ``pushes`` makes further forces, of no effect, to respond to. With None for columns only errors are told.
+        ``pushes`` makes further forces, of no effect, to respond to.
         """
         total, responses = sum(map(len, self.starts)), []
         for each, starts in zip(self.watched, self.starts, strict=True):
