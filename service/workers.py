@@ -83,7 +83,8 @@ class Workers:
         folder = _metrics_folder()
         os.environ[SHARED_FOLDER] = str(folder)
         try:
-            on_ready(self._first_report())
+            if report := self._first_report():
+                on_ready(report)
             while not self._stopping:
                 self._replace_the_dead()
                 time.sleep(LOOK_SECONDS)
@@ -101,7 +102,8 @@ class Workers:
         self._workers.append(worker)
         return worker
 
-    def _first_report(self) -> Report:
+    def _first_report(self) -> Report | None:
+        """None where we are told to stop before it comes: as orderly an end as any later one."""
         first = self._start()
         while not self._stopping:
             if report := first.report():
@@ -109,7 +111,7 @@ class Workers:
             if first.process.poll() is not None:
                 raise CaphyError("the first worker ended before it was ready; its words above say why")
             time.sleep(LOOK_SECONDS)
-        raise KeyboardInterrupt
+        return None
 
     def _replace_the_dead(self) -> None:
         for worker in [w for w in self._workers if w.process.poll() is not None]:

@@ -6,10 +6,13 @@ import os
 import re
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from http.client import HTTPConnection
+from pathlib import Path
 from urllib.request import urlopen
 
 import numpy as np
@@ -144,6 +147,17 @@ def test_stopping_finishes_what_is_in_flight(avatars, motion):
         answer = decode_response(connection.getresponse().read())
         assert len(answer.vertices["tshirt"]) == len(motion)
         assert service.process.wait(timeout=20) == 0
+
+
+def test_told_to_stop_before_it_is_ready_it_ends_well(avatars):
+    command = [sys.executable, "-m", "caphy.cli", "serve", "--avatars", str(avatars), "--port", "0", "--workers", "2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        wait_until(lambda: children.read_text().strip())  # its handlers are set before it starts the first worker
+        process.send_signal(signal.SIGTERM)
+        said, complaints = process.communicate(timeout=20)
+    assert process.returncode == 0, complaints
+    assert said == ""
 
 
 def test_workers_end_with_their_parent(avatars):
