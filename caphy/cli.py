@@ -13,6 +13,7 @@ COMMANDS = {
     "garment": "make garment templates and check your own meshes",
     "effects": "list and show the physical effects",
     "simulate": "drape or move a garment with the reference solver",
+    "capture-sim": "scan a simulated person, with the truth kept aside",
     "train": "train a garment network with physics losses",
     "validate": "hold a trained network against the reference solver",
     "compare": "compare a model with measurements: metrics, and a page to look at",
@@ -43,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
         return 2
     try:
-        return importlib.import_module(f"caphy.commands.{name}").main(rest) or 0
+        return importlib.import_module(f"caphy.commands.{name.replace('-', '_')}").main(rest) or 0
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] in ("caphy", "service", "export"):
             raise

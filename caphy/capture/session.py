@@ -1,0 +1,182 @@
+"""A capture session on disk: scans in one folder, the truth in another; it goes on where it was stopped.
+
+``scans/`` is what a pipeline may see: a mesh per still, misestimated initial poses, units and axes. ``truth/`` is for
+judging it afterwards: poses, body, garments, fabrics, labels.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from caphy.body.bundled import default_body
+from caphy.capture.drape import Dresser
+from caphy.capture.fusion import Fused
+from caphy.capture.optics import Optics
+from caphy.capture.poses import capture_poses, misestimated
+from caphy.capture.rig import LABELS, Rig
+from caphy.capture.subject import Fabric, Lower, Subject, Upper, make_subject
+from caphy.errors import CaphyError
+from caphy.garment.families import FAMILIES
+from caphy.garment.template import Garment, read_npz, write_npz
+from caphy.io.poses import PoseSequence, read_poses
+from caphy.io.poses.canonical import write_poses
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is captured; everything follows from it."""
+
+    seed: int = 0
+    count: int = 80
+    """Number of scans."""
+    upper: Upper | None = None
+    """Family of the upper garment; drawn from the seed unless given."""
+    lower: Lower | None = None
+    clips: str | None = None
+    """Folder of motion capture; procedural motions unless given."""
+    body: str = "fine"
+    """Bundled body under the clothes: "medium" or "fine"."""
+    edge_length: float = 0.016
+    """Target edge length of the simulated garments [m]."""
+    simulate: bool = True
+    """Drape with the reference solver; else garments just follow the skeleton."""
+    pose_error: float = 20.0
+    """How far each joint of the initial poses is off [degrees]."""
+    optics: Optics = field(default_factory=Optics)
+
+
+Progress = Callable[[int, int, float, dict[str, Any]], None]
+"""Told the scans done, their total, the seconds the last one took, and how the solver fared."""
+
+
+def capture(plan: Plan, folder: Path, progress: Progress | None = None) -> None:
+    """Capture a session into ``folder``, or what is missing of it.
+
+    Raises:
+        CaphyError: the folder holds another session.
+    """
+    if plan.count < 1:
+        raise CaphyError(f"a session needs at least one scan, got {plan.count}")
+    scans, truth = folder / "scans", folder / "truth"
+    _claim(plan, folder, truth)
+    scans.mkdir(parents=True, exist_ok=True)
+    subject = _subject(plan, truth)
+    poses = _poses(plan, truth, subject)
+    rig = Rig(subject, poses, plan.optics, plan.seed, Dresser(subject, poses, plan.simulate))
+    for index in range(plan.count):
+        mesh, still = scans / f"scan_{index:03d}.ply", truth / "stills" / f"scan_{index:03d}.npz"
+        if mesh.is_file() and still.is_file():
+            continue
+        started = monotonic()
+        body, cloth, report = rig.still(index)
+        fused = rig.scan(index, body, cloth)
+        write_ply(mesh, fused)
+        arrays = {"body": body, **cloth, "labels": fused.labels}
+        write_npz(
+            still, {key: _small(value) for key, value in arrays.items()} | {"report": np.array(json.dumps(report))}
+        )
+        if progress is not None:
+            progress(index + 1, plan.count, monotonic() - started, report)
+    write_poses(misestimated(poses, plan.pose_error, plan.seed), scans / "poses.npz")
+    (scans / "scans.toml").write_text(
+        f'name = "subject {plan.seed}"\nunit = "m"\nup_axis = "y"\nscans = "*.ply"\nposes = "poses.npz"\n',
+        encoding="utf-8",
+    )
+
+
+def write_ply(path: Path, scan: Fused) -> None:
+    """A binary PLY with colours, whole or not at all."""
+    import trimesh
+
+    mesh: Any = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=scan.colours, process=False)
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(mesh.export(file_type="ply"))
+    partial.replace(path)
+
+
+def _small(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.float32) if values.dtype == np.float64 else values
+
+
+def _claim(plan: Plan, folder: Path, truth: Path) -> None:
+    """Write the plan down, or make sure that the folder's is the same."""
+    path, text = truth / "plan.json", json.dumps(asdict(plan), indent=1)
+    if not path.is_file():
+        truth.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    elif json.loads(path.read_text(encoding="utf-8")) != json.loads(text):
+        raise CaphyError(f"{folder}: holds another session ({path}); choose another folder, or delete this one")
+
+
+def _subject(plan: Plan, truth: Path) -> Subject:
+    """The subject, as made before if it was."""
+    if plan.body not in ("medium", "fine"):
+        raise CaphyError(f"the body must be medium or fine, got {plan.body!r}")
+    path = truth / "subject.json"
+    if not path.is_file():
+        subject = make_subject(default_body(plan.body), plan.seed, plan.upper, plan.lower, plan.edge_length)
+        _write_subject(subject, truth)
+        path.write_text(json.dumps(_told(subject), indent=1), encoding="utf-8")
+    return read_subject(truth)
+
+
+def _told(subject: Subject) -> dict[str, Any]:
+    return {
+        "garments": {
+            label: {
+                "family": family.family,
+                "options": asdict(family),
+                "fabric": asdict(subject.fabrics[label]),
+                "model": json.loads(subject.fabrics[label].model.to_json()),
+            }
+            for label, family in subject.families.items()
+        },
+        "labels": LABELS,
+    }
+
+
+def _write_subject(subject: Subject, truth: Path) -> None:
+    write_npz(
+        truth / "body.npz",
+        {
+            "v_template": subject.body.v_template,
+            "joints": subject.body.joints,
+            "faces": subject.body.faces,
+            "betas": subject.betas,
+            "displacement": subject.displacement,
+        },
+    )
+    for label, garment in subject.garments.items():
+        garment.save(truth / f"{label}.npz")
+
+
+def read_subject(truth: Path) -> Subject:
+    """The subject of a session's ``truth`` folder."""
+    from caphy.capture.subject import frozen
+
+    plan = json.loads((truth / "plan.json").read_text(encoding="utf-8"))
+    told = json.loads((truth / "subject.json").read_text(encoding="utf-8"))["garments"]
+    arrays = read_npz(truth / "body.npz")
+    return Subject(
+        body=frozen(default_body(plan["body"]), arrays["v_template"], arrays["joints"]),
+        betas=arrays["betas"],
+        displacement=arrays["displacement"],
+        garments={label: Garment.load(truth / f"{label}.npz") for label in told},
+        fabrics={label: Fabric(**given["fabric"]) for label, given in told.items()},
+        families={label: FAMILIES[given["family"]](**given["options"]) for label, given in told.items()},
+    )
+
+
+def _poses(plan: Plan, truth: Path, subject: Subject) -> PoseSequence:
+    path = truth / "poses.npz"
+    if not path.is_file():
+        clips = None if plan.clips is None else Path(plan.clips)
+        write_poses(capture_poses(clips, plan.count, subject.body, plan.seed), path)
+    return read_poses(path)
