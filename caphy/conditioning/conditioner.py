@@ -1,0 +1,241 @@
+"""Poses in as they come, frames out at the model's rate: calm, complete, a fixed time later."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from caphy.conditioning.blending import Offsets, eased
+from caphy.conditioning.frame import Did, Frame, Summary
+from caphy.conditioning.gate import is_path_strange, is_pose_strange, names, strange_joints
+from caphy.conditioning.quaternions import between, exponential, heading, logarithm, rotated
+from caphy.conditioning.reach import within_reach
+from caphy.conditioning.settings import Conditioning
+from caphy.conditioning.standing import standing_pose
+from caphy.conditioning.track import NEVER, PathTrack, RotationTrack
+from caphy.conventions import BODY_JOINT_COUNT, JOINT_COUNT
+from caphy.errors import CaphyError
+
+SURE: Final = 1 / 30
+"""Precision of a fully trusted sample [s]: 30 of them make a second."""
+CLOSE: Final = 1e-6
+LEAST_TRUST: Final = 0.05
+"""Confidence below which a joint counts as not seen."""
+CUT_DISTANCE: Final = 0.75
+"""A root that is found so far from where it was held is put there at once [m] ..."""
+CUT_TURN: Final = np.radians(75.0)
+"""... and so is one turned so far [rad]."""
+LONGEST: Final = 10.0
+"""A step of the time stamps that is longer is left out [s]: nobody waits for frames of a body at rest."""
+TURN_SPEED: Final = 6.0
+"""At which a joint that is found again approaches where it is [rad/s]."""
+WALK_SPEED: Final = 2.0
+"""At which the root does [m/s]."""
+RELATIVE: Final = np.arange(JOINT_COUNT) > 0
+
+
+class Conditioner:
+    """Turns poses with time stamps into :class:`Frame` at ``settings.fps``, never looking ahead further than stated.
+
+    Every call of :meth:`push` returns the frames that it completes: the frame of a moment is complete as soon as time
+    has gone on by ``settings.latency``. The same poses give the same frames, however they are cut into calls.
+    """
+
+    def __init__(self, settings: Conditioning | None = None) -> None:
+        self.settings = settings or Conditioning()
+        self.summary = Summary()
+        self._standing = standing_pose()
+        self._start()
+
+    def push(
+        self,
+        time: float,
+        poses: np.ndarray | None,
+        transl: np.ndarray | None = None,
+        confidence: np.ndarray | float | None = None,
+    ) -> list[Frame]:
+        """Take what was seen at ``time`` [s] and return the frames that are complete now.
+
+        poses: (55, 3) axis-angle [rad], or none where nobody was seen. transl: (3,) [m], or none where it is not
+        known. confidence: of each joint (55,) or of all, from 0, not seen, to 1; 1 where not given. Values that are
+        not finite, and times that do not rise, are refused and said so in the next frame's notes. Raises
+        :class:`CaphyError` for arrays of another shape.
+        """
+        poses, transl, trust = _checked(poses, transl, confidence)
+        self.summary.received += 1
+        if not np.isfinite(time) or time <= self._time:
+            self._refuse(f"its time stamp {time:g} s does not come after {self._time:g} s", "time stamp")
+            return []
+        self._skip(float(time))
+        self._time = float(time)
+        if poses is None or not trust.any():
+            self._refuse("nobody was seen", "nobody", Did.NOTHING)
+        else:
+            self._take(poses, transl, trust)
+        return self._frames(self._time - self.settings.latency)
+
+    def flush(self) -> list[Frame]:
+        """The frames up to the last pose, which need not wait: nothing comes after it."""
+        return self._frames(self._time)
+
+    def restart(self) -> None:
+        """What comes next is a new motion, on a new clock."""
+        self._start()
+
+    def _start(self) -> None:
+        cutoff = 2 * np.pi * self.settings.cutoff
+        self._turns = RotationTrack(self._standing, cutoff**-4, SURE)
+        self._path = PathTrack(np.zeros((1, 3)), cutoff**-4, SURE)
+        self._time = NEVER
+        self._first: float | None = None
+        self._count = 0
+        self._out: tuple[np.ndarray, np.ndarray] | None = None
+        self._was_held = np.zeros(JOINT_COUNT, bool)
+        self._rested = False
+        self._turn_offsets = Offsets(JOINT_COUNT, TURN_SPEED)
+        self._path_offsets = Offsets(1, WALK_SPEED)
+        self._did, self._notes = Did.NOTHING, []
+
+    def _skip(self, time: float) -> None:
+        """Let the frames' clock begin anew after a step of the poses' clock that is too long."""
+        if self._first is not None and time - self._time > LONGEST:
+            self._first, self._count = time, 0
+            self._notes.append(f"time went on by {time - self._time:.1f} s at once; frames between are left out")
+
+    def _refuse(self, why: str, kind: str, did: Did = Did.REJECTED) -> None:
+        self.summary.refused[kind] += 1
+        self._did |= did
+        self._notes.append(f"not used: {why}")
+
+    def _take(self, poses: np.ndarray, transl: np.ndarray | None, trust: np.ndarray) -> None:
+        vectors, beyond = within_reach(logarithm(exponential(poses)))
+        beyond &= trust > 0
+        if beyond.any():
+            self._did |= Did.LIMITED
+            self._notes.append(f"turned too far: {names(beyond)}")
+        turns = exponential(vectors)
+        if self._first is None:
+            self._first = self._time
+        else:
+            strange = self._strange(turns, trust)
+            if strange is None:
+                return
+            trust = np.where(strange, 0.0, trust)
+        self._turns.add(self._time, turns, trust)
+        if trust[0] and transl is not None:
+            self._take_path(transl, trust[:1])
+
+    def _strange(self, turns: np.ndarray, trust: np.ndarray) -> np.ndarray | None:
+        """Which joints (55,) must not be believed; none where the whole pose must not."""
+        last = self._turns.last
+        since = np.where(last == NEVER, np.inf, self._time - last)
+        expected = self._turns.at(self._time)
+        strange = strange_joints(expected, turns, since) & (trust > 0)
+        if is_pose_strange(strange):
+            self._refuse(f"it jumps: {names(strange)}", "jump")
+            return None
+        if strange.any():
+            self._refuse(f"these joints jump: {names(strange)}", "joints")
+        jumped = strange_joints(expected, turns, np.minimum(since, 0.1)) & (trust > 0) & ~strange
+        if jumped.any():  # believed only because it lasts: the past would bend the curve
+            self._turns.forget(jumped)
+        return strange
+
+    def _take_path(self, transl: np.ndarray, trust: np.ndarray) -> None:
+        last = float(self._path.last[0])
+        if last != NEVER:
+            expected = self._path.at(self._time)[0]
+            if is_path_strange(expected, transl, self._time - last):
+                return self._refuse("its translation jumps", "translation")
+            if is_path_strange(expected, transl, min(self._time - last, 0.1)):
+                self._path.forget(np.ones(1, bool))
+        self._path.add(self._time, transl[None], trust)
+        return None
+
+    def _frames(self, until: float) -> list[Frame]:
+        if self._first is None:
+            return []
+        frames = []
+        while (time := self._first + self._count / self.settings.fps) <= until + CLOSE:
+            frames.append(self._frame(time))
+            self.summary.add(frames[-1])
+            self._count += 1
+        return frames
+
+    def _frame(self, time: float) -> Frame:
+        turns, place = self._turns.at(time), self._path.at(time)
+        self._turns.follow(turns)
+        away = np.maximum(time - self._turns.last, 0)  # never seen: infinite
+        held = away > CLOSE
+        share = eased((away - self.settings.hold) / self.settings.relax)
+        turns = self._relaxed(turns, share)
+        turns, place = self._approached(time, turns, place, held)
+        self._was_held, self._out, self._rested = held, (turns, place), bool(share[0] == 1)
+        self._mention(held, bool(share[0] > 0))
+        frame = Frame(time, logarithm(turns), place[0], self._did, tuple(self._notes))
+        self._did, self._notes = Did.NOTHING, []
+        return frame
+
+    def _mention(self, held: np.ndarray, resting: bool) -> None:
+        if held[:BODY_JOINT_COUNT].all():
+            self._did |= Did.RESTING if resting else Did.HELD
+        elif held[:BODY_JOINT_COUNT].any():
+            self._did |= Did.PART_HELD
+
+    def _relaxed(self, turns: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """What is not seen for long goes over, by its share (55,), into standing upright, facing where it faced."""
+        if not share.any():
+            return turns
+        goal = self._standing.copy()
+        goal[0] = heading(turns[0])
+        return rotated(turns, share[:, None] * between(turns, goal))
+
+    def _approached(
+        self, time: float, turns: np.ndarray, place: np.ndarray, held: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """From where the body was held to where it is found, without a jump; or at once where that is too far."""
+        if self._out is None:
+            self._did |= Did.RESET
+            return turns, place
+        found = self._was_held & ~held
+        if found.any():
+            self._begin_approach(time, found, between(turns, self._out[0]), self._out[1] - place)
+        return rotated(turns, self._turn_offsets.at(time)), place + self._path_offsets.at(time)
+
+    def _begin_approach(self, time: float, found: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> None:
+        far = bool(found[0]) and (np.linalg.norm(turned[0]) > CUT_TURN or np.linalg.norm(moved) > CUT_DISTANCE)
+        if found[0] and (far or self._rested):
+            self._did |= Did.RESET
+            self._notes.append("found again after long, or far away: the garment begins anew")
+        if far:
+            self._path_offsets.clear()
+            self._turn_offsets.begin(found, RELATIVE[:, None] * turned, time)
+            return
+        self._turn_offsets.begin(found, turned, time)
+        if found[0]:
+            self._path_offsets.begin(np.ones(1, bool), moved, time)
+
+
+def _checked(
+    poses: np.ndarray | None, transl: np.ndarray | None, confidence: np.ndarray | float | None
+) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray]:
+    """Arrays of the right shapes; joints with values that are not finite are not trusted."""
+    if poses is None:
+        return None, None, np.zeros(JOINT_COUNT)
+    poses = np.array(poses, np.float64)
+    if poses.shape != (JOINT_COUNT, 3):
+        raise CaphyError(f"poses must have shape ({JOINT_COUNT}, 3), SMPL-X's joints in its order, got {poses.shape}")
+    trust = np.ones(JOINT_COUNT) if confidence is None else np.array(confidence, np.float64)
+    if trust.shape not in ((), (JOINT_COUNT,)):
+        raise CaphyError(f"confidence must be one number or ({JOINT_COUNT},), got shape {trust.shape}")
+    trust = np.broadcast_to(np.clip(np.nan_to_num(trust, nan=0.0), 0, 1), JOINT_COUNT)
+    bad = ~np.isfinite(poses).all(axis=1)
+    poses[bad] = 0.0
+    trust = np.where(bad | (trust < LEAST_TRUST), 0.0, trust)
+    if transl is not None:
+        transl = np.array(transl, np.float64)
+        if transl.shape != (3,):
+            raise CaphyError(f"transl must have shape (3,), got {transl.shape}")
+        transl = transl if np.isfinite(transl).all() else None
+    return poses, transl, trust

@@ -1,0 +1,100 @@
+"""Samples of joint rotations and of the root's path over the last moments, and smooth curves through them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from caphy.conditioning.quaternions import between, rotated
+from caphy.conditioning.spline import spline_weights
+
+SAMPLES: Final = 16
+"""Most samples that are kept: at 30 per second and the default stiffness the 16th before weighs nothing."""
+COAST: Final = 0.08
+"""Time over which a joint that is no longer seen comes to a stop [s]."""
+NEVER: Final = -np.inf
+
+
+class Track:
+    """Samples of C channels at common times, each channel with its own trust in each sample.
+
+    Channels are what :meth:`at` evaluates; subclasses say what a sample is. ``stiffness`` [s^4] and ``precision``
+    [s], of a sample that is fully trusted, are those of :func:`spline_weights`.
+    """
+
+    def __init__(self, first: np.ndarray, stiffness: float, precision: float) -> None:
+        channels = len(first)
+        self._stiffness, self._precision = stiffness, precision
+        self._times = np.zeros(0)
+        self._samples = np.zeros((0, *first.shape))
+        self._trust = np.zeros((0, channels))
+        self.last = np.full(channels, NEVER)
+        """When each channel was last seen (C,) [s]."""
+        self._reference = first
+
+    def add(self, time: float, sample: np.ndarray, trust: np.ndarray) -> None:
+        """A sample of all channels; ``trust`` (C,) is 0 for those it does not show, up to 1."""
+        keep = slice(max(0, len(self._times) - SAMPLES + 1), None)
+        self._times = np.append(self._times[keep], time)
+        self._samples = np.concatenate([self._samples[keep], sample[None]])
+        self._trust = np.concatenate([self._trust[keep], trust[None]])
+        self.last = np.where(trust > 0, time, self.last)
+        self._reference = np.where((self.last == NEVER)[:, None], sample, self._reference)
+
+    def forget(self, channels: np.ndarray) -> None:
+        """Drop all samples so far of some channels (C,)."""
+        self._trust[:, channels] = 0
+
+    def at(self, time: float) -> np.ndarray:
+        """The smooth value of every channel; one that was never seen keeps its first value."""
+        value = self._reference.copy()
+        for channels, samples, weights in self._groups(time):
+            value[channels] = self._mixed(value[channels], self._samples[samples][:, channels], weights)
+        return value
+
+    def follow(self, value: np.ndarray) -> None:
+        """Take ``value`` as the point about which samples are mixed from now on."""
+        self._reference = value
+
+    def _groups(self, time: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Channels that trust the same samples alike, those samples, and their weights."""
+        if not len(self._times):
+            return
+        seen: dict[bytes, list[int]] = {}
+        for channel, column in enumerate(np.ascontiguousarray(self._trust.T)):
+            seen.setdefault(column.tobytes(), []).append(channel)
+        for channels in seen.values():
+            trust = self._trust[:, channels[0]]
+            (samples,) = np.nonzero(trust)
+            if not len(samples):
+                continue
+            times = self._times[samples]
+            weights = spline_weights(
+                times, self._precision * trust[samples], self._stiffness, _coasting(time, times[-1])
+            )
+            yield np.array(channels), samples, weights
+
+    def _mixed(self, reference: np.ndarray, samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+
+class RotationTrack(Track):
+    """Joint rotations (C, 4) as unit quaternions, mixed in the tangent space at the last value of each."""
+
+    def _mixed(self, reference: np.ndarray, samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        offsets = between(np.broadcast_to(reference, samples.shape), samples)
+        return rotated(reference, np.tensordot(weights, offsets, 1))
+
+
+class PathTrack(Track):
+    """Points (C, 3) [m]."""
+
+    def _mixed(self, reference: np.ndarray, samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        return np.tensordot(weights, samples, 1)
+
+
+def _coasting(time: float, last: float) -> float:
+    """The time at which a curve is evaluated whose last sample is past: motion dies away."""
+    return time if time <= last else last + COAST * float(-np.expm1((last - time) / COAST))
