@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from caphy.conditioning.blending import Offsets, eased
+from caphy.conditioning.body import Body, bearing, bundled_body
 from caphy.conditioning.frame import Did, Frame, Summary
 from caphy.conditioning.gate import is_path_strange, is_pose_strange, names, strange_joints
-from caphy.conditioning.quaternions import between, exponential, heading, logarithm, rotated
+from caphy.conditioning.ground import Ground
+from caphy.conditioning.quaternions import between, exponential, heading, logarithm, product, rotated
 from caphy.conditioning.reach import within_reach
+from caphy.conditioning.seen import camera_rotation, checked
 from caphy.conditioning.settings import Conditioning
 from caphy.conditioning.standing import standing_pose
 from caphy.conditioning.track import NEVER, PathTrack, RotationTrack
+from caphy.conditioning.world import LEVEL, Upright, turned_root
 from caphy.conventions import BODY_JOINT_COUNT, JOINT_COUNT
-from caphy.errors import CaphyError
 
 SURE: Final = 1 / 30
 """Precision of a fully trusted sample [s]: 30 of them make a second."""
 CLOSE: Final = 1e-6
-LEAST_TRUST: Final = 0.05
-"""Confidence below which a joint counts as not seen."""
 CUT_DISTANCE: Final = 0.75
 """A root that is found so far from where it was held is put there at once [m] ..."""
 CUT_TURN: Final = np.radians(75.0)
 """... and so is one turned so far [rad]."""
-LONGEST: Final = 10.0
-"""A step of the time stamps that is longer is left out [s]: nobody waits for frames of a body at rest."""
 TURN_SPEED: Final = 6.0
 """At which a joint that is found again approaches where it is [rad/s]."""
 WALK_SPEED: Final = 2.0
@@ -42,9 +41,13 @@ class Conditioner:
     has gone on by ``settings.latency``. The same poses give the same frames, however they are cut into calls.
     """
 
-    def __init__(self, settings: Conditioning | None = None) -> None:
+    def __init__(self, settings: Conditioning | None = None, body: Body | None = None, longest: float = 10.0) -> None:
+        """``body``: the avatar's, the bundled one where none is given. ``longest``: a step of the time stamps beyond
+        it is left out [s]: nobody waits for frames of a body at rest."""
         self.settings = settings or Conditioning()
         self.summary = Summary()
+        self._body = body or bundled_body()
+        self._longest = longest
         self._standing = standing_pose()
         self._start()
 
@@ -54,15 +57,17 @@ class Conditioner:
         poses: np.ndarray | None,
         transl: np.ndarray | None = None,
         confidence: np.ndarray | float | None = None,
+        camera: np.ndarray | None = None,
     ) -> list[Frame]:
         """Take what was seen at ``time`` [s] and return the frames that are complete now.
 
         poses: (55, 3) axis-angle [rad], or none where nobody was seen. transl: (3,) [m], or none where it is not
-        known. confidence: of each joint (55,) or of all, from 0, not seen, to 1; 1 where not given. Values that are
-        not finite, and times that do not rise, are refused and said so in the next frame's notes. Raises
-        :class:`CaphyError` for arrays of another shape.
+        known. confidence: of each joint (55,) or of all, from 0, not seen, to 1; 1 where not given. camera: rotation
+        (3, 3) from the camera's axes to the world's, y up, where it is known. Values that are not finite, and times
+        that do not rise, are refused and said so in the next frame's notes. Raises :class:`CaphyError` for arrays of
+        another shape.
         """
-        poses, transl, trust = _checked(poses, transl, confidence)
+        poses, transl, trust = checked(poses, transl, confidence)
         self.summary.received += 1
         if not np.isfinite(time) or time <= self._time:
             self._refuse(f"its time stamp {time:g} s does not come after {self._time:g} s", "time stamp")
@@ -72,7 +77,7 @@ class Conditioner:
         if poses is None or not trust.any():
             self._refuse("nobody was seen", "nobody", Did.NOTHING)
         else:
-            self._take(poses, transl, trust)
+            self._take(exponential(poses), transl, trust, None if camera is None else camera_rotation(camera))
         return self._frames(self._time - self.settings.latency)
 
     def flush(self) -> list[Frame]:
@@ -96,11 +101,23 @@ class Conditioner:
         self._turn_offsets = Offsets(JOINT_COUNT, TURN_SPEED)
         self._path_offsets = Offsets(1, WALK_SPEED)
         self._did, self._notes = Did.NOTHING, []
+        self._upright = Upright(self._body)
+        if self.settings.up is not None:
+            self._upright.tell(np.array(self.settings.up))
+        self._ground = Ground(self._body, self.settings)
+        self._jumped = False
+
+    def world(self) -> dict[str, Any]:
+        """Where up, floor and scale were found so far, JSON-ready, with the uncertainty of up."""
+        upright = self._upright.as_json() if self.settings.frame == "camera" else {}
+        return {**upright, **self._ground.as_json()}
 
     def _skip(self, time: float) -> None:
         """Let the frames' clock begin anew after a step of the poses' clock that is too long."""
-        if self._first is not None and time - self._time > LONGEST:
+        if self._first is not None and time - self._time > self._longest:
             self._first, self._count = time, 0
+            self._was_held[:] = True
+            self._rested = True
             self._notes.append(f"time went on by {time - self._time:.1f} s at once; frames between are left out")
 
     def _refuse(self, why: str, kind: str, did: Did = Did.REJECTED) -> None:
@@ -108,13 +125,14 @@ class Conditioner:
         self._did |= did
         self._notes.append(f"not used: {why}")
 
-    def _take(self, poses: np.ndarray, transl: np.ndarray | None, trust: np.ndarray) -> None:
-        vectors, beyond = within_reach(logarithm(exponential(poses)))
-        beyond &= trust > 0
-        if beyond.any():
+    def _take(self, turns: np.ndarray, transl: np.ndarray | None, trust: np.ndarray, camera: np.ndarray | None) -> None:
+        turns, beyond = self._within_reach(turns)
+        if (beyond & (trust > 0)).any():
             self._did |= Did.LIMITED
-            self._notes.append(f"turned too far: {names(beyond)}")
-        turns = exponential(vectors)
+            self._notes.append(f"turned too far: {names(beyond & (trust > 0))}")
+        level = np.concatenate([product(LEVEL, turns[0])[None], turns[1:]])
+        if self.settings.frame == "camera":
+            turns, transl = self._in_world(turns, transl, camera)
         if self._first is None:
             self._first = self._time
         else:
@@ -123,8 +141,22 @@ class Conditioner:
                 return
             trust = np.where(strange, 0.0, trust)
         self._turns.add(self._time, turns, trust)
+        if self.settings.frame == "camera" and trust[0]:
+            self._upright.look(level, SURE)
         if trust[0] and transl is not None:
             self._take_path(transl, trust[:1])
+
+    def _within_reach(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        vectors, beyond = within_reach(logarithm(turns))
+        return (exponential(vectors), beyond) if beyond.any() else (turns, beyond)
+
+    def _in_world(
+        self, turns: np.ndarray, transl: np.ndarray | None, camera: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        rotation = self._upright.rotation() if camera is None else camera
+        place = np.zeros(3) if transl is None else transl
+        root, place = turned_root(rotation, turns[0], place, self._body.joints[0])
+        return np.concatenate([root[None], turns[1:]]), None if transl is None else place
 
     def _strange(self, turns: np.ndarray, trust: np.ndarray) -> np.ndarray | None:
         """Which joints (55,) must not be believed; none where the whole pose must not."""
@@ -169,12 +201,13 @@ class Conditioner:
         away = np.maximum(time - self._turns.last, 0)  # never seen: infinite
         held = away > CLOSE
         share = eased((away - self.settings.hold) / self.settings.relax)
-        turns = self._relaxed(turns, share)
+        turns, place = self._relaxed(turns, place, share)
         turns, place = self._approached(time, turns, place, held)
         self._was_held, self._out, self._rested = held, (turns, place), bool(share[0] == 1)
         self._mention(held, bool(share[0] > 0))
-        frame = Frame(time, logarithm(turns), place[0], self._did, tuple(self._notes))
-        self._did, self._notes = Did.NOTHING, []
+        stands = self._ground.put(turns, place[0], self._jumped)
+        frame = Frame(time, logarithm(turns), stands, self._did, tuple(self._notes))
+        self._did, self._notes, self._jumped = Did.NOTHING, [], False
         return frame
 
     def _mention(self, held: np.ndarray, resting: bool) -> None:
@@ -183,13 +216,18 @@ class Conditioner:
         elif held[:BODY_JOINT_COUNT].any():
             self._did |= Did.PART_HELD
 
-    def _relaxed(self, turns: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """What is not seen for long goes over, by its share (55,), into standing upright, facing where it faced."""
+    def _relaxed(self, turns: np.ndarray, place: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is not seen for long goes over, by its share (55,), into standing upright, facing where it faced; the
+        soles stay as high as they were."""
         if not share.any():
-            return turns
+            return turns, place
         goal = self._standing.copy()
         goal[0] = heading(turns[0])
-        return rotated(turns, share[:, None] * between(turns, goal))
+        relaxed = rotated(turns, share[:, None] * between(turns, goal))
+        if not share[0]:
+            return relaxed, place
+        rise = bearing(self._body.soles(turns))[1] - bearing(self._body.soles(relaxed))[1]
+        return relaxed, place + np.array([0.0, rise, 0.0])
 
     def _approached(
         self, time: float, turns: np.ndarray, place: np.ndarray, held: np.ndarray
@@ -209,33 +247,10 @@ class Conditioner:
             self._did |= Did.RESET
             self._notes.append("found again after long, or far away: the garment begins anew")
         if far:
+            self._jumped = True
             self._path_offsets.clear()
             self._turn_offsets.begin(found, RELATIVE[:, None] * turned, time)
             return
         self._turn_offsets.begin(found, turned, time)
         if found[0]:
             self._path_offsets.begin(np.ones(1, bool), moved, time)
-
-
-def _checked(
-    poses: np.ndarray | None, transl: np.ndarray | None, confidence: np.ndarray | float | None
-) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray]:
-    """Arrays of the right shapes; joints with values that are not finite are not trusted."""
-    if poses is None:
-        return None, None, np.zeros(JOINT_COUNT)
-    poses = np.array(poses, np.float64)
-    if poses.shape != (JOINT_COUNT, 3):
-        raise CaphyError(f"poses must have shape ({JOINT_COUNT}, 3), SMPL-X's joints in its order, got {poses.shape}")
-    trust = np.ones(JOINT_COUNT) if confidence is None else np.array(confidence, np.float64)
-    if trust.shape not in ((), (JOINT_COUNT,)):
-        raise CaphyError(f"confidence must be one number or ({JOINT_COUNT},), got shape {trust.shape}")
-    trust = np.broadcast_to(np.clip(np.nan_to_num(trust, nan=0.0), 0, 1), JOINT_COUNT)
-    bad = ~np.isfinite(poses).all(axis=1)
-    poses[bad] = 0.0
-    trust = np.where(bad | (trust < LEAST_TRUST), 0.0, trust)
-    if transl is not None:
-        transl = np.array(transl, np.float64)
-        if transl.shape != (3,):
-            raise CaphyError(f"transl must have shape (3,), got {transl.shape}")
-        transl = transl if np.isfinite(transl).all() else None
-    return poses, transl, trust

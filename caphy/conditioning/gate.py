@@ -15,6 +15,8 @@ TRUNK_RATE: Final = 5.0
 """How much faster or slower than expected the trunk may turn [rad/s]."""
 LIMB_RATE: Final = 12.0
 """The same of arms, legs and neck."""
+END_RATE: Final = 30.0
+"""The same of hands, feet and face, which estimators see worst and clothes feel least."""
 PATH_NOISE: Final = 0.15
 """Error of a translation that is not yet strange [m]."""
 PATH_RATE: Final = 4.0
@@ -22,7 +24,10 @@ PATH_RATE: Final = 4.0
 MOST_STRANGE: Final = 5
 """Body joints that may be strange at once; with more, the whole pose is."""
 TRUNK: Final = ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")
-RATES: Final = np.array([TRUNK_RATE if name in TRUNK else LIMB_RATE for name in JOINT_NAMES])
+LIMBS: Final = ("neck", "head", "hip", "knee", "shoulder", "elbow")
+RATES: Final = np.array(
+    [TRUNK_RATE if n in TRUNK else LIMB_RATE if n.rpartition("_")[2] in LIMBS else END_RATE for n in JOINT_NAMES]
+)
 
 
 def strange_joints(expected: np.ndarray, seen: np.ndarray, since: np.ndarray) -> np.ndarray:

@@ -42,6 +42,24 @@ def rotated(start: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return turned / np.sqrt(np.einsum("...i,...i->...", turned, turned))[..., None]
 
 
+def turned(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """The vector (3,) turned by the unit quaternion (4,)."""
+    w, x, y, z = quaternion.tolist()
+    a, b, c = vector.tolist()
+    u, v, r = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return np.array([a + w * u + y * r - z * v, b + w * v + z * u - x * r, c + w * r + x * v - y * u])
+
+
+def aligning(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The shortest rotation (4,) that takes the unit vector ``start`` (3,) to ``end`` (3,)."""
+    quaternion = np.array([1 + start @ end, *np.cross(start, end)])
+    length = np.linalg.norm(quaternion)
+    if length < 1e-6:  # opposite: half a turn about anything across
+        across = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
+        return np.array([0.0, *(across / np.linalg.norm(across))])
+    return quaternion / length
+
+
 def heading(quaternions: np.ndarray) -> np.ndarray:
     """The turn about y (..., 4) that faces where a body of root rotation ``quaternions`` (..., 4) faces.
 

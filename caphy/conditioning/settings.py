@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import Final, Literal
 
@@ -40,6 +41,7 @@ class Conditioning:
     hold: float = 0.3
     relax: float = 1.0
     frame: Literal["world", "camera"] = "world"
+    up: tuple[float, float, float] | None = None
     translation: Literal["given", "feet"] = "given"
     floor: bool = False
     scale: float | None = 1.0
@@ -54,6 +56,10 @@ class Conditioning:
         for name, choices in (("frame", ("world", "camera")), ("translation", ("given", "feet"))):
             if getattr(self, name) not in choices:
                 raise CaphyError(f"conditioning: {name} must be one of {choices}, got {getattr(self, name)!r}")
+        if self.up is not None:
+            if self.frame != "camera":
+                raise CaphyError('conditioning: up is for poses in a camera\'s axes; set frame to "camera" too')
+            object.__setattr__(self, "up", _direction(self.up))
         if not isinstance(self.floor, bool):
             raise CaphyError(f"conditioning: floor must be true or false, got {self.floor!r}")
 
@@ -67,3 +73,12 @@ class Conditioning:
         if unknown:
             raise CaphyError(f"conditioning: there is no setting {unknown[0]!r}; there are {', '.join(known)}")
         return cls(**given)
+
+
+def _direction(given: object) -> tuple[float, float, float]:
+    values = tuple(given) if isinstance(given, tuple | list) else ()
+    numbers = [float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool)]
+    length = math.hypot(*numbers)
+    if len(values) != 3 or len(numbers) != 3 or not 1e-6 < length < 1e6:
+        raise CaphyError(f"conditioning: up must be a direction (x, y, z), got {given!r}")
+    return numbers[0] / length, numbers[1] / length, numbers[2] / length
