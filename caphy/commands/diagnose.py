@@ -69,6 +69,7 @@ def _diagnosed(command: Diagnose, model: Model) -> Diagnosis:
     from caphy.diagnose.diagnosis import diagnose
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
+    from caphy.refit.crew import Crew
 
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
     read = [
@@ -76,8 +77,8 @@ def _diagnosed(command: Diagnose, model: Model) -> Diagnosis:
     ]
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
-    with Progress("diagnosis") as progress:
-        return diagnose(model, *read, garment=garment, body=body, progress=progress)
+    with Progress("diagnosis") as progress, Crew(command.effect_file) as crew:
+        return diagnose(model, *read, garment=garment, body=body, progress=progress, crew=crew)
 
 
 def write(diagnosis: Diagnosis, command: Diagnose) -> None:

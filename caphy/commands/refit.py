@@ -66,6 +66,7 @@ def _refit(command: RefitCommand, model: Model) -> None:
     from caphy.body.model import BodyModel
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
+    from caphy.refit.crew import Crew
     from caphy.refit.refit import refit
 
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
@@ -73,8 +74,8 @@ def _refit(command: RefitCommand, model: Model) -> None:
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
-    with Progress("refit") as progress:
-        found = refit(model, measured, command.add, proof, garment, body, progress)
+    with Progress("refit") as progress, Crew(command.effect_file) as crew:
+        found = refit(model, measured, command.add, proof, garment, body, progress, crew)
     print(table(found))
     if not found.kept and command.add:
         print("The model stays as it was; nothing was written.")

@@ -16,7 +16,7 @@ import numpy as np
 
 from caphy.diagnose.flexible import flexible_gains
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
-from caphy.diagnose.probes import probes_of
+from caphy.diagnose.probes import Probes
 from caphy.diagnose.screen import screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, moved
@@ -98,7 +98,7 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
 def _looked(study: Study, model: Model, on_body: bool) -> _Look:
     groups = (*own_groups(model, model), *library(model, on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, "base measurements", probes_of(model))
+    probed = study.respond(model, columns, "base measurements", Probes(model))
     responses = picked(probed, range(len(columns)))
     variance = study.variance(responses)
     known = evidence(responses, variance)

@@ -21,6 +21,7 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
+from caphy.refit.crew import Crew
 from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import half_widths
 from caphy.refit.study import Progress, Study
@@ -119,6 +120,7 @@ def diagnose(
     garment: Garment | None = None,
     body: BodyModel | None = None,
     progress: Progress | None = None,
+    crew: Crew | None = None,
 ) -> Diagnosis:
     """Tell what a model lacks in measurements.
 
@@ -131,6 +133,7 @@ def diagnose(
         held_out: measurements that nothing is fitted to.
         garment, body: as in :meth:`caphy.measure.scene.Scene.of`.
         progress: told what is being done.
+        crew: shares the work.
 
     Raises:
         CaphyError: the measurements do not fit the cloth or are too short.
@@ -141,11 +144,11 @@ def diagnose(
     calm = () if isinstance(base, Base) else tuple(base)
     scenes = [_scene(measurement, garment, body) for measurement in (*measurements, *calm, *held_out)]
     count, more = len(measurements), len(measurements) + len(calm)
-    study = Study(scenes[:count], progress=progress)
+    study = Study(scenes[:count], progress=progress, crew=crew)
     on_body = scenes[0].motion is not None
     known = base if isinstance(base, Base) else None
     if calm:
-        known = from_base(Study(scenes[count:more], progress=progress), model, on_body)
+        known = from_base(Study(scenes[count:more], progress=progress, crew=crew), model, on_body)
     start = model if known is None else known.model
     found = search(study, start, model, on_body, known)
     errors = None
@@ -154,7 +157,7 @@ def diagnose(
         expected = None if known is None else known.correction
         variance = found.screens[0].variance
         everything = () if known is None else columns
-        errors = held_out_errors(scenes[more:], found.fit, variance, progress, everything, expected)
+        errors = held_out_errors(scenes[more:], found.fit, variance, progress, everything, expected, crew)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
 

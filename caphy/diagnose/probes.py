@@ -7,6 +7,7 @@ flexible field would take over what parameters explain (Brynjarsdottir, O'Hagan,
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -123,11 +124,12 @@ def probe_pushes(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: B
     return torch.cat([-area * fields(cloth, modes, x, step, body) for fields in PROBES.values()])
 
 
-def probes_of(model: Model) -> Callable[[Watched], Pushes]:
-    """The flexible forces on each scene's cloth."""
+@dataclass(frozen=True, eq=False)
+class Probes:
+    """The flexible forces on each scene's cloth; other processes can be told of them."""
 
-    def of(watched: Watched) -> Pushes:
-        cloth, modes = watched.scene.potential(model).cloth, watched.projection.modes
+    model: Model
+
+    def __call__(self, watched: Watched) -> Pushes:
+        cloth, modes = watched.scene.potential(self.model).cloth, watched.projection.modes
         return lambda x, step, body: probe_pushes(cloth, modes, x, step, body)
-
-    return of

@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.diagnose.base import Base
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
-from caphy.diagnose.probes import probes_of
+from caphy.diagnose.probes import Probes
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
@@ -144,7 +144,7 @@ def screen(
     """
     groups = (*own_groups(model, original), *library(model, on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, "screening", probes_of(model))
+    probed = study.respond(model, columns, "screening", Probes(model))
     if first is None and base is not None:
         probed = study.correct(probed, columns, base.correction)
     responses = picked(probed, range(len(columns)))

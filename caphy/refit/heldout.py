@@ -10,6 +10,7 @@ import numpy as np
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column
+from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.study import Fit, Progress, Study, picked, share_gone
 
@@ -49,12 +50,13 @@ def held_out_errors(
     progress: Progress | None = None,
     columns: Sequence[Column] = (),
     known: Mapping[str, float] | None = None,
+    crew: Crew | None = None,
 ) -> HeldOut:
     """Roll out a model before and after a fit on held-out scenes.
 
     ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
     """
-    return judged(Study(scenes, progress=progress), fitted, variance, columns, known or {})
+    return judged(Study(scenes, progress=progress, crew=crew), fitted, variance, columns, known or {})
 
 
 def judged(

@@ -15,6 +15,7 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, addition, extended, moved, tunable
+from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors, judged
 from caphy.refit.intervals import half_widths
@@ -58,22 +59,26 @@ def refit(
     garment: Garment | None = None,
     body: BodyModel | None = None,
     progress: Progress | None = None,
+    crew: Crew | None = None,
 ) -> Refit:
     """Fit the numbers of added effects, or without any the model's own parameters, jointly on real roll-outs.
 
-    Without held-out measurements every fourth window is held out.
+    Without held-out measurements every fourth window is held out. ``crew`` shares the work.
 
     Raises:
         CaphyError: an effect is unknown, is there already, or the measurements are too short.
     """
     names = _checked(model, add)
     scenes = [Scene.of(measurement, garment, body) for measurement in measurements]
-    study = Study(scenes, progress=progress)
+    study = Study(scenes, progress=progress, crew=crew)
     apart = [Scene.of(measurement, garment, body) for measurement in held_out]
     proof = None if apart else _split(study)
     fitted, first, removed = _fitted(study, model, names)
     variance = first.variance
-    errors = held_out_errors(apart, fitted, variance, progress) if proof is None else judged(proof, fitted, variance)
+    if proof is None:
+        errors = held_out_errors(apart, fitted, variance, progress, crew=crew)
+    else:
+        errors = judged(proof, fitted, variance)
     kept = tuple(name for name in names if name not in removed)
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
     if errors.share < max(PROVEN * fitted.share, LEAST):
@@ -143,7 +148,7 @@ def _without(
 
 def _split(study: Study) -> Study:
     """Move every fourth window of a study into another one."""
-    proof = Study(study.scenes, study.length, study.progress)
+    proof = Study(study.scenes, study.length, study.progress, study.crew)
     place = 0
     for number, starts in enumerate(study.starts):
         later = [(place + i) % _LATER == _LATER - 1 for i in range(len(starts))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH
 from caphy.refit.columns import Column, changes, extended, moved
+from caphy.refit.crew import Crew, Place
 from caphy.refit.evidence import Evidence, bounded, estimated_variance, evidence
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
@@ -38,9 +39,18 @@ Progress = Callable[[str, int, int], None]
 class Study:
     """The windows of some measurements."""
 
-    def __init__(self, scenes: Sequence[Scene], length: int = LENGTH, progress: Progress | None = None) -> None:
-        """Raises :class:`CaphyError` where there are too few windows."""
-        self.scenes, self.length, self.progress = tuple(scenes), length, progress
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        length: int = LENGTH,
+        progress: Progress | None = None,
+        crew: Crew | None = None,
+    ) -> None:
+        """``crew`` rolls windows out, this process does unless given.
+
+        Raises :class:`CaphyError` where there are too few windows.
+        """
+        self.scenes, self.length, self.progress, self.crew = tuple(scenes), length, progress, crew
         self.watched = watched(scenes, length)
         self._expected: list[np.ndarray] | None = None
         self.starts = [each.starts() for each in self.watched]
@@ -50,6 +60,7 @@ class Study:
                 f"{names}: needs at least {FEWEST} windows of {length} frames, each with half of the vertices seen "
                 f"around its start, got {sum(map(len, self.starts))}; measure longer motions"
             )
+        self._known_as = None if crew is None else crew.learn(self.scenes, length)
 
     @property
     def noise(self) -> float:
@@ -71,15 +82,30 @@ class Study:
 
         ``pushes`` makes further forces, of no effect, to respond to.
         """
-        total, responses = sum(map(len, self.starts)), []
+        places = [(number, frame) for number, starts in enumerate(self.starts) for frame in starts]
+        found: dict[int, Response] = {}
+        for place, response in self._responses(places, model, columns, pushes):
+            wrong = 0.0 if self._expected is None else self._expected[place]
+            found[place] = replace(response, residual=response.residual - wrong)
+            if self.progress is not None:
+                self.progress(what, len(found), len(places))
+        return [found[place] for place in range(len(places))]
+
+    def _responses(
+        self,
+        places: Sequence[Place],
+        model: Model,
+        columns: Sequence[Column],
+        pushes: Callable[[Watched], Pushes] | None,
+    ) -> Iterator[tuple[int, Response]]:
+        if self.crew is not None and self._known_as is not None:
+            yield from self.crew.respond(self._known_as, places, model, columns, pushes)
+            return
+        first = 0
         for each, starts in zip(self.watched, self.starts, strict=True):
             forces = None if pushes is None else pushes(each)
-            for response in each.respond(model, columns, starts, forces):
-                wrong = 0.0 if self._expected is None else self._expected[len(responses)]
-                responses.append(replace(response, residual=response.residual - wrong))
-                if self.progress is not None:
-                    self.progress(what, len(responses), total)
-        return responses
+            yield from enumerate(each.respond(model, columns, starts, forces), first)
+            first += len(starts)
 
     def correct(
         self, responses: Sequence[Response], columns: Sequence[Column], known: Mapping[str, float]

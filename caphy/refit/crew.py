@@ -1,0 +1,117 @@
+"""Processes that roll out windows side by side: windows know nothing of each other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from pathlib import Path
+from types import TracebackType
+
+from caphy.body.model import BodyModel
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.garment.template import Garment
+from caphy.io.measurements import Measurement
+from caphy.measure.scene import Scene
+from caphy.refit.columns import Column
+from caphy.refit.responses import Response, Watched, watched
+from caphy.refit.tangents import Pushes
+
+MOST = 8
+"""Processes at most; each holds its own copy of everything."""
+
+Place = tuple[int, int]
+"""A window: the number of its scene, and its first frame."""
+
+
+class Crew:
+    """As many processes as the machine has cores for.
+
+    A window is always rolled out by the same process: what a process has learned of it (what the time step does) then
+    does not depend on which one was free.
+    """
+
+    def __init__(self, effect_files: Sequence[Path] = (), size: int | None = None) -> None:
+        """``effect_files`` hold effects of the user's own, which every process must know."""
+        size = min(len(os.sched_getaffinity(0)), MOST) if size is None else size
+        context = get_context("spawn")
+        self._each = [ProcessPoolExecutor(1, context, _begin, (tuple(effect_files),)) for _ in range(size)]
+        self._studies = 0
+
+    def __enter__(self) -> Crew:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for each in self._each:
+            each.shutdown(wait=kind is None, cancel_futures=True)
+
+    def learn(self, scenes: Sequence[Scene], length: int) -> int:
+        """Hand every process the scenes of a study; the number by which they know it."""
+        self._studies += 1
+        given = [(s.measurement, s.garment, getattr(s.motion, "body", None)) for s in scenes]
+        for each in self._each:
+            each.submit(_learn, self._studies, given, length)
+        return self._studies
+
+    def respond(
+        self,
+        study: int,
+        places: Sequence[Place],
+        model: Model,
+        columns: Sequence[Column],
+        pushes: Callable[[Watched], Pushes] | None,
+    ) -> Iterator[tuple[int, Response]]:
+        """Windows of a study against a model, each with its place in ``places``, in the order in which they are done.
+
+        Raises:
+            CaphyError: what a window raised, or a process died.
+        """
+        found: dict[Future, list[int]] = {}
+        for number in sorted({scene for scene, _ in places}):
+            for who, each in enumerate(self._each):
+                share = [i for i, place in enumerate(places) if place[0] == number and i % len(self._each) == who]
+                if share:
+                    frames = [places[i][1] for i in share]
+                    found[each.submit(_respond, study, number, frames, model, tuple(columns), pushes)] = share
+        try:
+            for future in as_completed(found):
+                yield from zip(found[future], future.result(), strict=True)
+        except BrokenProcessPool as error:
+            raise CaphyError("a process that rolled out windows died; is there memory enough for each core?") from error
+        finally:
+            for future in found:
+                future.cancel()
+
+
+_KNOWN: dict[int, list[Watched]] = {}
+
+
+def _begin(effect_files: Sequence[Path]) -> None:
+    import torch
+
+    from caphy.effects.registry import register_file
+
+    torch.set_num_threads(1)
+    for file in effect_files:
+        register_file(file)
+
+
+def _learn(study: int, given: Sequence[tuple[Measurement, Garment, BodyModel | None]], length: int) -> None:
+    _KNOWN[study] = watched([Scene.of(*each) for each in given], length)
+
+
+def _respond(
+    study: int,
+    number: int,
+    frames: Sequence[int],
+    model: Model,
+    columns: Sequence[Column],
+    pushes: Callable[[Watched], Pushes] | None,
+) -> list[Response]:
+    each = _KNOWN[study][number]
+    return list(each.respond(model, columns, frames, None if pushes is None else pushes(each)))

@@ -1,0 +1,49 @@
+"""Windows rolled out by several processes are those of one, and a user's own effect is known to all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from explicit_cloth import measured, simulate
+
+from caphy.diagnose.probes import Probes
+from caphy.effects import registry
+from caphy.effects.model import Model
+from caphy.effects.scaffold import write_scaffold
+from caphy.errors import CaphyError
+from caphy.measure.scene import Scene
+from caphy.refit.columns import addition
+from caphy.refit.crew import Crew
+from caphy.refit.study import Study
+
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.of(measured(*simulate(), seed=1))
+
+
+def test_a_crew_finds_what_one_process_does(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_from_files", {})
+    file = tmp_path / "lift.py"
+    write_scaffold("lift", file)
+    registry.register_file(file)
+    columns, told = (*addition("mass_damping"), *addition("lift")), []
+    alone = Study([scene, scene])
+    with Crew([file], size=2) as crew:
+        shared = Study([scene, scene], progress=lambda *said: told.append(said), crew=crew)
+        found = shared.respond(MODEL, columns, "trying", Probes(MODEL))
+    wanted = alone.respond(MODEL, columns, "trying", Probes(MODEL))
+    assert [(each.scene, each.start) for each in found] == [(each.scene, each.start) for each in wanted]
+    for one, other in zip(found, wanted, strict=True):
+        for field in ("residual", "columns", "nuisance", "error"):
+            np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    assert told[-1] == ("trying", len(wanted), len(wanted))
+
+
+def test_what_goes_wrong_in_a_process_is_said_here(scene):
+    with Crew(size=1) as crew:
+        study = Study([scene], crew=crew)
+        with pytest.raises(CaphyError, match="no effect"):
+            study.respond(Model(0.2, {"nonsense": {}}), addition("mass_damping"))
