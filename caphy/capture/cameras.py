@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from caphy.capture.paint import Print
 from caphy.report.camera import Camera
 
 RINGS = ((-25.0, 10), (0.0, 16), (25.0, 16), (50.0, 10), (75.0, 4))
@@ -71,8 +73,8 @@ def camera_rings(centre: np.ndarray, turn: float = 0.0) -> list[Camera]:
 class Caster:
     """A scene ready for rays."""
 
-    def __init__(self, scene: Scene, prints: dict[int, object]) -> None:
-        """``prints``: by label, something with ``colours(rest)``."""
+    def __init__(self, scene: Scene, prints: Mapping[int, Print]) -> None:
+        """``prints`` of the garments by the number of their label."""
         from caphy.report.render import _embree_scene
 
         self.scene, self.prints = scene, prints
@@ -122,5 +124,5 @@ class Caster:
         label = self.scene.labels[face]
         for number, pattern in self.prints.items():
             here = label == number
-            colour[here] = pattern.colours(self._mixed(self.scene.rest, face[here], weights[here]))  # type: ignore[attr-defined]
+            colour[here] = pattern.colours(self._mixed(self.scene.rest, face[here], weights[here]))
         return colour * (0.72 + 0.28 * np.maximum(normal @ LIGHT, 0))[:, None]

@@ -155,6 +155,7 @@ def _write_subject(subject: Subject, truth: Path) -> None:
     )
     for label, garment in subject.garments.items():
         garment.save(truth / f"{label}.npz")
+        subject.rough[label].save(truth / f"{label}_rough.npz")
 
 
 def read_subject(truth: Path) -> Subject:
@@ -169,6 +170,7 @@ def read_subject(truth: Path) -> Subject:
         betas=arrays["betas"],
         displacement=arrays["displacement"],
         garments={label: Garment.load(truth / f"{label}.npz") for label in told},
+        rough={label: Garment.load(truth / f"{label}_rough.npz") for label in told},
         fabrics={label: Fabric(**given["fabric"]) for label, given in told.items()},
         families={label: FAMILIES[given["family"]](**given["options"]) for label, given in told.items()},
     )

@@ -21,8 +21,8 @@ SHAPE_SPREAD = 0.8
 """Standard deviation of the shape coefficients, which are those of adults in units of their own spread."""
 ROUGHNESS = 0.005
 """Standard deviation of the surface displacement along the normal [m]; it stays within three times this."""
-BETWEEN_LAYERS = 0.006
-"""Distance that the upper garment keeps below the waist for the lower one [m]."""
+ROUGH = 0.036
+"""Target edge length of the coarse meshes [m]."""
 
 Upper = Literal["tshirt", "longsleeve", "tank"]
 Lower = Literal["trousers", "shorts", "skirt"]
@@ -64,6 +64,8 @@ class Subject:
     """Displacement (V, 3) [m] of the rest vertices from the shape's."""
     garments: dict[str, Garment]
     """Garments by label, in the order of dressing: "lower", "upper"."""
+    rough: dict[str, Garment]
+    """The same cuts in a coarse mesh, on which they are worn into a pose."""
     fabrics: dict[str, Fabric]
     """Fabric of each."""
     families: dict[str, Family]
@@ -88,6 +90,9 @@ def make_subject(
         betas=betas,
         displacement=displacement,
         garments={label: make(family, own) for label, family in families.items()},
+        rough={
+            label: make(replace(family, edge_length=max(ROUGH, edge_length)), own) for label, family in families.items()
+        },
         fabrics={label: random_fabric(random) for label in families},
         families=families,
     )
@@ -139,7 +144,6 @@ def _upper(marks: Landmarks, random: np.random.Generator, kind: Upper | None, ed
         ease=cut.ease + random.uniform(-0.005, 0.01),
         neck_depth=cut.neck_depth + random.uniform(0, 0.03),
         edge_length=edge_length,
-        layer_thickness=BETWEEN_LAYERS,
     )
 
 
