@@ -11,6 +11,7 @@ COMMANDS = {
     "body": "make, inspect and picture SMPL-X-format bodies",
     "poses": "inspect, convert and picture pose files",
     "garment": "make garment templates and check your own meshes",
+    "register": "find the body under the clothes of scans, and the garments' templates",
     "effects": "list and show the physical effects",
     "simulate": "drape or move a garment with the reference solver",
     "capture-sim": "scan a simulated person, with the truth kept aside",

@@ -1,0 +1,179 @@
+"""``caphy register body|garments``: the body under the clothes of scans, and the templates of what is worn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from caphy.commands.body import load_body
+from caphy.commands.compare import Progress
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.body.model import BodyModel
+    from caphy.register.articulation import Placement
+    from caphy.register.fit import BodyFit, Taken
+    from caphy.scan.scan import Scan
+    from caphy.scan.scan_set import ScanSet
+
+
+@dataclass(frozen=True)
+class Body:
+    """Find shape, displacement and poses of the body in labelled scans; goes on where a stopped run was."""
+
+    scans: tyro.conf.Positional[Path]
+    """Folder of scans with a scans.toml; see docs/scans.md."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for body.npz, body.json, body.png and what a later run goes on from."""
+    labels: Path | None = None
+    """Folder of labels (NAME.npy) to use instead of the scans' own."""
+    body: str = "medium"
+    """An SMPL-X-format npz, or "medium" or "fine" for the bundled body."""
+    pictures: int = 4
+    """How many scans to picture; 0 for none."""
+
+
+@dataclass(frozen=True)
+class Garments:
+    """Choose the garment templates worn in the scans, on the body that 'caphy register body' found."""
+
+    scans: tyro.conf.Positional[Path]
+    """Folder of scans with a scans.toml."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The folder that 'caphy register body' wrote; gets upper.npz, lower.npz and garments.json."""
+    labels: Path | None = None
+    """Folder of labels (NAME.npy) to use instead of the scans' own."""
+    body: str = "medium"
+    """The body that the fit was made with."""
+    kinds: tuple[Literal["upper", "lower"], ...] = ("upper", "lower")
+    """Which garments to look for."""
+    upper_basis: Path | None = None
+    """A linear style basis (npz) to choose the upper garment from instead of the parametric ones."""
+    lower_basis: Path | None = None
+    """A linear style basis (npz) to choose the lower garment from."""
+
+
+def main(arguments: list[str]) -> None:
+    """Run ``caphy register`` with the arguments after it."""
+    command = tyro.cli(
+        tyro.conf.OmitSubcommandPrefixes[
+            Annotated[Body, tyro.conf.subcommand("body")] | Annotated[Garments, tyro.conf.subcommand("garments")]
+        ],
+        args=arguments,
+        prog="caphy register",
+    )
+    if isinstance(command, Body):
+        _body(command)
+    else:
+        _garments(command)
+
+
+def _body(command: Body) -> None:
+    from caphy.register.fit import fit_bodies
+    from caphy.register.result import write_fit
+    from caphy.register.store import Store
+    from caphy.scan.scan_set import ScanSet
+
+    body, scans = load_body(command.body), ScanSet.read(command.scans, command.labels)
+    unread: dict[str, str] = {}
+    taken = [scan for _, scan in _taken(scans, body, unread)]
+    if not taken:
+        raise CaphyError("\n".join(["none of the scans can be used:", *unread.values()]))
+    with Progress(scans.name) as progress:
+        fit = fit_bodies(body, taken, Store(command.output), progress)
+    fit.failures.update(unread)
+    write_fit(fit, command.output, command.body)
+    for message in fit.failures.values():
+        print(f"left out: {message}")
+    skin = sum(figures.skin_mean for figures in fit.figures) / len(fit.figures)
+    outside = sum(figures.outside for figures in fit.figures) / len(fit.figures)
+    print(f"{len(fit.names)} of {len(scans)} scans fitted; skin lies {1e3 * skin:.1f} mm from the body in the mean")
+    print(f"{100 * outside:.2f} % of the cloth's points have the body more than 2 mm outside them")
+    if command.pictures:
+        print(_pictured(fit, scans, command))
+    print(command.output / "body.npz")
+
+
+def _taken(scans: ScanSet, body: BodyModel, unread: dict[str, str]) -> Iterator[tuple[int, Taken]]:
+    """Scans by number; what cannot be used goes into ``unread`` and the rest goes on."""
+    from caphy.register.cloud import Cloud
+    from caphy.register.fit import Taken
+
+    for i, name in enumerate(scans.names):
+        try:
+            scan = scans[i]
+            yield i, Taken(Cloud.of(scan), _start(scan, scans, body))
+        except CaphyError as error:
+            unread[name] = str(error)
+
+
+def _start(scan: Scan, scans: ScanSet, body: BodyModel) -> Placement | None:
+    """The scan's initial pose on this body, whose pelvis rests elsewhere than that of the poses' body."""
+    from caphy.register.articulation import Placement
+
+    if scan.pose is None or scan.transl is None or scans.poses is None:
+        return None
+    return Placement.of(scan.pose, scan.transl + scans.poses.pelvis - body.joints[0])
+
+
+def _pictured(fit: BodyFit, scans: ScanSet, command: Body) -> Path:
+    from caphy.register.pictures import fit_sheet
+    from caphy.report.render import write_png
+
+    shown = range(0, len(fit.names), max(1, len(fit.names) // command.pictures))[: command.pictures]
+    pictured = [scans[scans.names.index(fit.names[i])] for i in shown]
+    sheet = fit_sheet(pictured, [fit.vertices(i) for i in shown], fit.figure.body.faces)
+    return write_png(sheet, command.output / "body.png")
+
+
+def _garments(command: Garments) -> None:
+    from caphy.register.result import read_fit, write_text
+    from caphy.scan.scan_set import ScanSet
+
+    body = load_body(command.body)
+    fit, scans = read_fit(command.output / "body.npz", body), ScanSet.read(command.scans, command.labels)
+    unknown = [name for name in fit.names if name not in scans.names]
+    if unknown:
+        raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
+    found = {}
+    for kind in command.kinds:
+        found[kind] = _garment(command, fit, scans, kind)
+    write_text(command.output / "garments.json", json.dumps(found, indent=1, allow_nan=False))
+
+
+def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upper", "lower"]) -> dict:
+    from dataclasses import asdict
+
+    from caphy.register.chamfer import Target
+    from caphy.register.cloud import Cloud
+    from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
+    from caphy.register.template import choose, made, plainest
+
+    chosen = plainest(fit.placements)
+    names = [fit.names[i] for i in chosen]
+    clouds = [Cloud.of(scans[scans.names.index(name)]) for name in names]
+    targets = [
+        Target.of(cloud, fit.figure.placed(fit.placements[i]), kind) for cloud, i in zip(clouds, chosen, strict=True)
+    ]
+    basis = command.upper_basis if kind == "upper" else command.lower_basis
+    if basis is not None:
+        style = LinearStyle.load(basis)
+        linear = choose_linear(style, fit.figure, targets)
+        garment, told = linear_garment(style, linear, fit.figure, kind), {"coefficients": linear.coefficients.tolist()}
+        distance, looked_at = linear.distance, linear.looked_at
+    else:
+        with Progress(kind) as progress:
+            choice = choose(fit.figure, targets, kind, progress)
+        garment, told = made(choice, fit.figure), asdict(choice.style) | {"families": dict(choice.runners_up)}
+        distance, looked_at = choice.distance, choice.looked_at
+    path = command.output / f"{kind}.npz"
+    garment.save(path)
+    print(
+        f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {', '.join(names)}; best of {looked_at} styles, refined"
+    )
+    return {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}

@@ -1,0 +1,1 @@
+"""From labelled scans of a dressed person to the body under the clothes and the garments' templates."""

@@ -1,0 +1,180 @@
+"""Body under clothing for a whole set of scans: one shape, one displacement, a pose for each scan; resumable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from caphy.body.model import BodyModel
+from caphy.body.surface import Surface
+from caphy.errors import CaphyError
+from caphy.register.articulation import Figure, Placement
+from caphy.register.cloud import Cloud
+from caphy.register.coarse import CoarseFit
+from caphy.register.prior import PosePrior
+from caphy.register.rounds import ROUNDS, State, Wearer, run_round
+from caphy.register.starts import first_fit
+from caphy.register.store import Store
+
+LOST = 0.10
+"""Share of unexplained points above which a scan is left out."""
+ANOTHER = 0.010
+"""Mean distance of skin from the shared body [m] above which a scan shows somebody else, or wrong labels."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and how much there is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A scan to be fitted."""
+
+    cloud: Cloud
+    start: Placement | None = None
+    """An estimate of its pose, or none."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFit:
+    """The body under the clothes of a set of scans."""
+
+    figure: Figure
+    names: tuple[str, ...]
+    placements: tuple[Placement, ...]
+    figures: tuple[ScanFigures, ...]
+    failures: dict[str, str]
+    """Scans left out, and why."""
+
+    def vertices(self, index: int) -> np.ndarray:
+        """The body (V, 3) [m] in scan ``index``."""
+        return self.figure.placed(self.placements[index]).vertices
+
+
+@dataclass(frozen=True)
+class ScanFigures:
+    """How well the body lies in one scan; lengths in metres."""
+
+    skin_mean: float
+    """Mean distance of skin points from the body."""
+    outside: float
+    """Share of cloth points with the body more than 2 mm outside."""
+    deepest: float
+    """The farthest the body comes out (99.9 % of the cloth points)."""
+
+
+def quiet(_what: str, _done: int, _total: int) -> None:
+    """No progress."""
+
+
+def fit_bodies(
+    body: BodyModel, taken: Iterable[Taken], store: Store | None = None, progress: Progress = quiet
+) -> BodyFit:
+    """Shape, displacement and poses of ``body`` in scans.
+
+    Args:
+        taken: scans of one person.
+        store: where to keep what is done, so that a run that was stopped goes on from there.
+        progress: told how far things are.
+
+    Raises:
+        CaphyError: not a single scan could be fitted; the message says why for each.
+    """
+    scans, store = list(taken), store or Store(None)
+    surface, failures = Surface.of(body.faces, body.v_template), {}
+    firsts = _first_fits(body, surface, scans, store, progress, failures)
+    wearers, state = _joined(body, scans, firsts, failures)
+    state = _rounds(state, wearers, surface, store, progress)
+    found = [
+        scan_figures(state.figure, p, w.skin_cloud, surface) for p, w in zip(state.placements, wearers, strict=True)
+    ]
+    names = [wearer.skin_cloud.name for wearer in wearers]
+    strangers = [i for i, figures in enumerate(found) if figures.skin_mean > ANOTHER]
+    for i in strangers:
+        failures[names[i]] = (
+            f"{names[i]}: its skin lies {1e3 * found[i].skin_mean:.0f} mm off the body that the other scans share; is "
+            "it the same person, and are its labels right? Leave it out, or correct it and fit again"
+        )
+    kept = [i for i in range(len(names)) if i not in strangers]
+    if not kept:
+        raise CaphyError(_all_failed(failures))
+    return BodyFit(
+        state.figure,
+        tuple(names[i] for i in kept),
+        tuple(state.placements[i] for i in kept),
+        tuple(found[i] for i in kept),
+        failures,
+    )
+
+
+def scan_figures(figure: Figure, placement: Placement, cloud: Cloud, surface: Surface) -> ScanFigures:
+    """How well a placed figure lies in a cloud."""
+    distance = surface.nearest(cloud.points, figure.placed(placement).vertices).distance
+    out = -distance[~cloud.skin]
+    return ScanFigures(
+        skin_mean=float(np.abs(distance[cloud.skin]).mean()),
+        outside=float((out > 0.002).mean()),
+        deepest=float(np.quantile(out, 0.999)),
+    )
+
+
+def _first_fits(
+    body: BodyModel,
+    surface: Surface,
+    scans: Sequence[Taken],
+    store: Store,
+    progress: Progress,
+    failures: dict[str, str],
+) -> dict[int, CoarseFit]:
+    """Coarse fits by the scan's number; what cannot be fitted goes into ``failures``."""
+    figure, found = Figure.of(body), {}
+    for i, scan in enumerate(scans):
+        progress("first poses", i, len(scans))
+        key = store.key(body, scan.cloud, scan.start)
+        kept = store.first(scan.cloud.name, key)
+        if kept is None:
+            kept = first_fit(figure, surface, scan.cloud, scan.start)
+            store.keep_first(scan.cloud.name, key, *kept)
+        if kept[1] > LOST:
+            failures[scan.cloud.name] = (
+                f"{scan.cloud.name}: no pose explains it ({100 * kept[1]:.0f} % of it is more than 3 cm off); look at "
+                "its labels, give an initial pose (poses in scans.toml), or leave it out"
+            )
+        else:
+            found[i] = kept[0]
+    if not found:
+        raise CaphyError(_all_failed(failures))
+    return found
+
+
+def _joined(
+    body: BodyModel, scans: Sequence[Taken], firsts: dict[int, CoarseFit], failures: dict[str, str]
+) -> tuple[list[Wearer], State]:
+    """What goes into the rounds: scans with a first pose, from the middle of their shapes."""
+    wearers = []
+    for i in firsts:
+        start = scans[i].start
+        wearers.append(Wearer.of(scans[i].cloud, PosePrior(None if start is None else start.rotations[:22])))
+    betas = np.median([fit.betas for fit in firsts.values()], axis=0)
+    return wearers, State(Figure.of(body, betas), tuple(fit.placement for fit in firsts.values()))
+
+
+def _rounds(state: State, wearers: Sequence[Wearer], surface: Surface, store: Store, progress: Progress) -> State:
+    body = state.figure.body
+    names = [wearer.skin_cloud.name for wearer in wearers]
+    key = store.key(body, *(part for w in wearers for part in (w.pose_cloud, w.skin_cloud)), state)
+    state = store.state(key, state) or state
+    total = ROUNDS * len(names)
+    while state.done < ROUNDS:
+        done = state.done * len(names)
+        ticks = iter(range(1, len(names) + 1))
+        state = run_round(
+            state, wearers, surface, lambda d=done, t=ticks: progress("shape and skin", d + next(t), total)
+        )
+        store.keep_state(key, state)
+    return state
+
+
+def _all_failed(failures: dict[str, str]) -> str:
+    return "none of the scans could be fitted:\n" + "\n".join(f"  {message}" for message in failures.values())

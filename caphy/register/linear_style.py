@@ -1,0 +1,151 @@
+"""A linear style basis, as TailorNet's (Patel et al., CVPR 2020): a mean garment and directions it varies in.
+
+The file is an npz without pickles: ``mean`` (V, 3) [m] on the body in T-pose, ``components`` (K, V, 3) [m per unit],
+``faces`` (F, 3), and, if known, ``deviations`` (K,), the standard deviation of each coefficient (else one).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from caphy.errors import CaphyError
+from caphy.garment.attach import skinning_weights
+from caphy.garment.from_mesh import garment_from_mesh
+from caphy.garment.landmarks import Landmarks
+from caphy.garment.template import Garment, read_npz
+from caphy.garment.usermesh import UserMesh
+from caphy.register.articulation import Figure
+from caphy.register.chamfer import MOST, Target
+from caphy.register.template import STYLES, dressed_body
+
+SPREAD = 2.0
+"""Coefficients are looked at up to this many standard deviations."""
+STEPS = 8
+"""Gauss-Newton steps that refine the best of them."""
+NOISE = 0.01
+"""How far cloth lies from its template [m]: what the coefficients' own spread is weighed against."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearStyle:
+    """A mean garment and its directions."""
+
+    name: str
+    mean: np.ndarray
+    """(V, 3) [m]."""
+    components: np.ndarray
+    """(K, V, 3) [m per unit of a coefficient]."""
+    deviations: np.ndarray
+    """Standard deviation of each coefficient (K,)."""
+    faces: np.ndarray
+    """(F, 3)."""
+
+    @classmethod
+    def load(cls, path: Path) -> LinearStyle:
+        """Read a basis.
+
+        Raises:
+            CaphyError: a key is missing, of the wrong shape, or not finite.
+        """
+        arrays = read_npz(path)
+        missing = {"mean", "components", "faces"} - arrays.keys()
+        if missing:
+            raise CaphyError(
+                f"{path}: a style basis needs mean (V, 3), components (K, V, 3) and faces (F, 3); "
+                f"{', '.join(sorted(missing))} missing"
+            )
+        count, rank = len(arrays["mean"]), len(arrays["components"])
+        arrays.setdefault("deviations", np.ones(rank))
+        shapes = {"mean": (count, 3), "components": (rank, count, 3), "deviations": (rank,)}
+        for name, shape in shapes.items():
+            if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+                raise CaphyError(
+                    f"{path}: {name} must be finite and of shape {shape}, got {arrays[name].shape}; components are "
+                    "(coefficient, vertex, axis)"
+                )
+        faces = arrays["faces"]
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= count:
+            raise CaphyError(f"{path}: faces must be triangles (F, 3) of {count} vertices, got shape {faces.shape}")
+        return cls(
+            name=path.stem,
+            mean=arrays["mean"].astype(np.float64),
+            components=arrays["components"].astype(np.float64),
+            deviations=arrays["deviations"].astype(np.float64),
+            faces=faces.astype(np.int32),
+        )
+
+    def vertices(self, coefficients: np.ndarray) -> np.ndarray:
+        """The garment (V, 3) [m] of coefficients (K,)."""
+        return self.mean + np.tensordot(coefficients, self.components, axes=1)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearChoice:
+    """The coefficients that fit best."""
+
+    coefficients: np.ndarray
+    """(K,)."""
+    distance: float
+    """Mean two-way distance from the scans' cloth [m]."""
+    looked_at: int
+
+
+def choose_linear(
+    style: LinearStyle, figure: Figure, targets: Sequence[Target], seed: int = 0, count: int = STYLES
+) -> LinearChoice:
+    """The best of ``count`` random styles of a basis, refined."""
+    marks, rng = Landmarks.of(dressed_body(figure)), np.random.default_rng(seed)
+    weights = skinning_weights(style.mean, style.faces, marks.body, marks.vertices)
+    drawn = style.deviations * np.clip(rng.standard_normal((count, len(style.deviations))), -SPREAD, SPREAD)
+    drawn[0] = 0.0
+    scores = [_distance(style, weights, targets, each) for each in drawn]
+    best = drawn[int(np.argmin(scores))]
+    score = min(scores)
+    for _ in range(STEPS):
+        tried = _refined(style, weights, targets, best)
+        found = _distance(style, weights, targets, tried)
+        if found >= score:
+            break
+        best, score = tried, found
+    return LinearChoice(best, score, count)
+
+
+def linear_garment(style: LinearStyle, choice: LinearChoice, figure: Figure, kind: str) -> Garment:
+    """The chosen style as a garment on the fitted body."""
+    mesh = UserMesh(style.vertices(choice.coefficients), style.faces, None)
+    told = {"coefficients": " ".join(f"{value:.4f}" for value in choice.coefficients), "basis": style.name}
+    marks = Landmarks.of(dressed_body(figure))
+    return garment_from_mesh(mesh, style.name, marks, waistband=kind == "lower", provenance=told)
+
+
+def _distance(style: LinearStyle, weights: np.ndarray, targets: Sequence[Target], coefficients: np.ndarray) -> float:
+    score = 0.0
+    for target in targets:
+        posed = target.posed(style.vertices(coefficients), weights)
+        score += target.from_garment(posed).mean() + target.to_garment(posed)
+    return score / (2 * len(targets))
+
+
+def _refined(
+    style: LinearStyle, weights: np.ndarray, targets: Sequence[Target], coefficients: np.ndarray
+) -> np.ndarray:
+    """Coefficients after one step towards nearest points, both ways, held by their own spread."""
+    matrix, right = np.diag(1 / style.deviations**2), -coefficients / style.deviations**2
+    for target in targets:
+        blend = np.tensordot(weights, target.placed.transforms, axes=1)[..., :3]
+        moves = np.einsum("vij,kvj->vik", blend, style.components)
+        posed = target.posed(style.vertices(coefficients), weights)
+        away, own = target.cloth_tree.query(posed)
+        back, vertex = KDTree(posed).query(target.cloth)
+        gaps = np.concatenate([target.cloth_tree.data[own] - posed, target.cloth - posed[vertex]])
+        near = np.concatenate([away, back]) < MOST
+        rows = np.concatenate([moves, moves[vertex]])[near].reshape(-1, len(coefficients))
+        scale = 1 / (NOISE**2 * len(gaps) * len(targets)) * 100  # a hundred points' worth of evidence
+        matrix = matrix + scale * rows.T @ rows
+        right = right + scale * rows.T @ gaps[near].ravel()
+    return coefficients + np.linalg.solve(matrix, right)

@@ -1,0 +1,96 @@
+"""What a fit keeps on disk while it runs, so that a stopped run goes on where it was; npz files without pickles."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caphy.body.model import BodyModel
+from caphy.errors import CaphyError
+from caphy.garment.template import read_npz, write_npz
+from caphy.register.articulation import Figure, Placement
+from caphy.register.cloud import Cloud
+from caphy.register.coarse import CoarseFit
+from caphy.register.rounds import State
+
+VERSION = "1"
+"""Changed whenever what is stored would come out otherwise."""
+
+
+class Store:
+    """A folder of intermediate results, each marked with what it was made from; without a folder nothing is kept."""
+
+    def __init__(self, folder: Path | None):
+        self.folder = folder
+
+    def key(self, *inputs: BodyModel | Cloud | Placement | State | None) -> str:
+        """A hash of everything a result depends on."""
+        digest = hashlib.sha256(VERSION.encode())
+        for item in inputs:
+            for array in _arrays(item):
+                digest.update(str((array.shape, array.dtype)).encode())
+                digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def first(self, name: str, key: str) -> tuple[CoarseFit, float] | None:
+        """The coarse fit of a scan and the share it leaves unexplained, if kept."""
+        kept = self._read(f"first/{name}.npz", key)
+        if kept is None:
+            return None
+        fit = CoarseFit(Placement(kept["rotations"], kept["transl"]), kept["betas"], float(kept["misfit"]))
+        return fit, float(kept["unexplained"])
+
+    def keep_first(self, name: str, key: str, fit: CoarseFit, unexplained: float) -> None:
+        """Keep a coarse fit."""
+        arrays = {"rotations": fit.placement.rotations, "transl": fit.placement.transl, "betas": fit.betas}
+        numbers = {"misfit": np.array(fit.misfit), "unexplained": np.array(unexplained)}
+        self._write(f"first/{name}.npz", key, arrays | numbers)
+
+    def state(self, key: str, initial: State) -> State | None:
+        """The rounds' latest state, if kept; ``initial`` tells the body."""
+        kept = self._read("rounds.npz", key)
+        if kept is None:
+            return None
+        placements = (Placement(r, t) for r, t in zip(kept["rotations"], kept["transl"], strict=True))
+        figure = Figure(initial.figure.body, kept["betas"], kept["displacement"])
+        return State(figure, tuple(placements), int(kept["done"]))
+
+    def keep_state(self, key: str, state: State) -> None:
+        """Keep the rounds' state."""
+        arrays = {
+            "betas": state.figure.betas,
+            "displacement": state.figure.displacement,
+            "rotations": np.stack([p.rotations for p in state.placements]),
+            "transl": np.stack([p.transl for p in state.placements]),
+            "done": np.array(state.done),
+        }
+        self._write("rounds.npz", key, arrays)
+
+    def _read(self, name: str, key: str) -> dict[str, np.ndarray] | None:
+        if self.folder is None or not (self.folder / name).is_file():
+            return None
+        try:
+            arrays = read_npz(self.folder / name)
+        except CaphyError:  # half a disk's worth; made again
+            return None
+        return arrays if str(arrays.get("key")) == key else None
+
+    def _write(self, name: str, key: str, arrays: dict[str, np.ndarray]) -> None:
+        if self.folder is not None:
+            write_npz(self.folder / name, {**arrays, "key": np.array(key)})
+
+
+def _arrays(item: Any) -> list[np.ndarray]:
+    if item is None:
+        return [np.zeros(0)]
+    if isinstance(item, BodyModel):
+        return [item.v_template, item.joints, item.weights, item.shapedirs, item.faces]
+    if isinstance(item, Cloud):
+        return [item.points, item.normals, item.labels]
+    if isinstance(item, Placement):
+        return [item.rotations, item.transl]
+    placed = [array for placement in item.placements for array in _arrays(placement)]
+    return [item.figure.betas, item.figure.displacement, *placed]

@@ -1,0 +1,148 @@
+"""The style space of the parametric garments as point sheets that are trimmed, not meshed: thousands a minute.
+
+A family's surface depends on its eases; its lengths and its neckline only say where the cloth ends. So each of a few
+surfaces is contoured once, as long as it can be, and a style is those of its points that lie inside the style's
+openings. An opening's field is a distance along the garment: a longer garment has the same field, shifted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.garment import topology
+from caphy.garment.attach import skinning_weights
+from caphy.garment.families import FAMILIES, Family
+from caphy.garment.landmarks import Landmarks
+from caphy.garment.meshing import contour
+
+GRID = 0.015
+"""Spacing of a surface's points [m]."""
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "upper": ("tshirt", "longsleeve", "tank"),
+    "lower": ("trousers", "shorts", "skirt"),
+}
+"""Families that each label of a scan can be."""
+
+TRIMS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
+    "tshirt": {"length": {"hem": 1.0}, "sleeve": {"cuff": 1.0}},
+    "longsleeve": {"length": {"hem": 1.0}, "sleeve": {"cuff": 1.0}},
+    "tank": {"length": {"hem": 1.0}},
+    "trousers": {"leg": {"hem": 1.0}, "rise": {"waist": 1.0}},
+    "shorts": {"leg": {"hem": 1.0}, "rise": {"waist": 1.0}},
+    "skirt": {"length": {"hem": 1.0}, "rise": {"waist": 1.0, "hem": -1.0}},
+}
+"""By how much each opening's field grows per metre of a length."""
+
+EASES: Mapping[str, tuple[Mapping[str, float], ...]] = {
+    "tshirt": (
+        {},
+        {"ease": 0.012, "sleeve_ease": 0.010},
+        {"ease": 0.04, "sleeve_ease": 0.024},
+        {"ease": 0.03, "flare": 0.0},
+    ),
+    "longsleeve": ({}, {"ease": 0.04, "sleeve_ease": 0.024}),
+    "tank": ({}, {"ease": 0.03}),
+    "trousers": ({}, {"leg_ease": 0.032, "taper": 0.0}),
+    "shorts": ({}, {"leg_ease": 0.05}),
+    "skirt": ({}, {"flare": 0.1}, {"flare": 0.35}),
+}
+"""Surfaces that are looked at, as differences from a family's defaults."""
+
+NECKS = ((0.005, 0.01), (0.015, 0.02), (0.03, 0.05), (0.045, 0.09))
+"""Widths and depths of necklines [m]."""
+
+
+def ranges(family: str, marks: Landmarks) -> dict[str, tuple[float, float]]:
+    """Least and greatest value [m] of each length of a family on a body."""
+    arm = float(np.linalg.norm(marks.joint("left_wrist") - marks.joint("left_shoulder")))
+    inseam = float(marks.crotch - marks.joint("left_ankle")[1])
+    neck, knee = marks.joint("neck")[1], marks.joint("left_knee")[1]
+    rise = (0.10, 0.17 * marks.height)
+    tops = {"length": (neck - marks.crotch - 0.25, min(neck - marks.crotch + 0.12, neck - knee - 0.001))}
+    return {
+        "tshirt": tops | {"sleeve": (0.12 * arm, 0.70 * arm)},
+        "longsleeve": tops | {"sleeve": (0.70 * arm, 0.999 * arm)},
+        "tank": tops,
+        "trousers": {"leg": (0.6 * inseam, 0.999 * inseam), "rise": rise},
+        "shorts": {"leg": (0.07, 0.6 * inseam), "rise": rise},
+        "skirt": {"length": (0.3, marks.crotch + rise[0] - marks.joint("left_ankle")[1]), "rise": rise},
+    }[family]
+
+
+@dataclass(eq=False)
+class Sheet:
+    """One surface of a family: points of the longest garment, and how far inside each opening they lie."""
+
+    longest: Family
+    points: np.ndarray
+    """(N, 3) on the T-posed body [m]."""
+    faces: np.ndarray
+    """(F, 3): which points are neighbours."""
+    weights: np.ndarray
+    """Skinning weights (N, 55)."""
+    marks: Landmarks
+    _inside: dict[tuple[float, float] | None, dict[str, np.ndarray]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, longest: Family, marks: Landmarks) -> Sheet:
+        """Contour the surface of ``longest``."""
+        cut = longest.cut(marks)
+        vertices, faces = contour(cut.surface, cut.low, cut.high, GRID)
+        near = np.all([value(vertices) > -0.1 for value in cut.openings.values()], axis=0)  # the head is none of it
+        faces = faces[near[faces].all(axis=1)]
+        used, flat = np.unique(faces, return_inverse=True)
+        points, faces = vertices[used], flat.reshape(faces.shape)
+        weights = skinning_weights(points, faces, marks.body, marks.vertices)
+        return cls(longest, points, faces, weights, marks)
+
+    def kept(self, style: Family) -> np.ndarray:
+        """Which points (N,) belong to a style of this surface."""
+        inside = self._openings(style)
+        shifts = dict.fromkeys(inside, 0.0)
+        for length, openings in TRIMS[style.family].items():
+            for opening, rate in openings.items():
+                shifts[opening] += rate * (getattr(style, length) - getattr(self.longest, length))
+        return np.all([value + shifts[name] > 0 for name, value in inside.items()], axis=0)
+
+    def _openings(self, style: Family) -> dict[str, np.ndarray]:
+        """Depth inside each opening (N,) [m] of the longest garment with this style's neckline."""
+        neck = (style.neck_width, style.neck_depth) if hasattr(style, "neck_width") else None  # pyright: ignore
+        if neck not in self._inside:
+            own = self.longest if neck is None else replace(self.longest, neck_width=neck[0], neck_depth=neck[1])
+            found = {name: value(self.points) for name, value in own.cut(self.marks).openings.items()}
+            whole = np.all([value > 0 for value in found.values()], axis=0)
+            faces = self.faces[whole[self.faces].all(axis=1)]
+            main = np.zeros(len(self.points), bool)
+            main[faces[topology.components(faces)[0]]] = True
+            self._inside[neck] = found | {"piece": np.where(main, np.inf, -np.inf)}
+        return self._inside[neck]
+
+
+def longest(family: str, eases: Mapping[str, float], marks: Landmarks) -> Family:
+    """A family as long as it can be, with the given eases."""
+    lengths = {name: high for name, (_, high) in ranges(family, marks).items()}
+    return FAMILIES[family](**lengths, **eases)
+
+
+def styles_of(sheet: Sheet, count: int, rng: np.random.Generator) -> Iterator[Family]:
+    """About ``count`` styles of one surface: lengths spread evenly over their ranges, necklines in turn."""
+    limits = ranges(sheet.longest.family, sheet.marks)
+    places = (np.stack([rng.permutation(count) for _ in limits], axis=1) + 0.5) / count  # a Latin hypercube
+    for i, place in enumerate(places):
+        chosen = {name: low + p * (high - low) for p, (name, (low, high)) in zip(place, limits.items(), strict=True)}
+        if any(f.name == "neck_width" for f in fields(sheet.longest)):
+            chosen["neck_width"], chosen["neck_depth"] = NECKS[i % len(NECKS)]
+        yield replace(sheet.longest, **chosen)
+
+
+def checked(style: Family, marks: Landmarks) -> Family | None:
+    """The style if it can be cut on this body, else none."""
+    try:
+        style.cut(marks)
+    except CaphyError:
+        return None
+    return style

@@ -1,0 +1,167 @@
+"""Which garment template a scanned person wears: the best of several hundred styles, then refined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from caphy.body.model import BodyModel
+from caphy.conventions import JOINT_NAMES
+from caphy.errors import CaphyError
+from caphy.garment.families import Family, make
+from caphy.garment.landmarks import Landmarks
+from caphy.garment.template import Garment
+from caphy.register.articulation import Figure, Placement
+from caphy.register.chamfer import Target
+from caphy.register.starts import plain_poses
+from caphy.register.styles import EASES, KINDS, TRIMS, Sheet, longest, ranges, styles_of
+
+STYLES = 330
+"""Styles looked at for each kind of garment."""
+SCANS = 2
+"""Scans compared with: those nearest to a T- or A-pose."""
+EASE_STEPS = {"ease": 0.012, "sleeve_ease": 0.008, "flare": 0.08, "leg_ease": 0.012, "taper": 0.05}
+"""First steps of the refinement of a surface [m, or metres per metre]."""
+NECK_STEP = 0.012
+USUAL = 0.0005
+"""Cost [m] of a length that lies a whole range from the family's default: decides what no camera saw."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The style that fits best."""
+
+    style: Family
+    distance: float
+    """Mean two-way distance from the scans' cloth [m]."""
+    looked_at: int
+    """How many styles were compared."""
+    runners_up: tuple[tuple[str, float], ...]
+    """Best distance [m] of each family."""
+
+
+def dressed_body(figure: Figure) -> BodyModel:
+    """The figure as a body of its own, whose mean shape it is."""
+    vertices, joints = figure.rest
+    return replace(figure.body, v_template=vertices, joints=joints)
+
+
+def plainest(placements: Sequence[Placement], count: int = SCANS) -> list[int]:
+    """Numbers of the ``count`` placements nearest to a T- or an A-pose, nearest first."""
+    limbs = [i for i, name in enumerate(JOINT_NAMES[:22]) if i and not name.endswith(("wrist", "foot", "head", "neck"))]
+    plain = [placement.rotations[limbs] for placement in plain_poses()[:2]]
+
+    def angle(placement: Placement) -> float:
+        own = placement.rotations[limbs]
+        turns = [np.einsum("jab,jab->j", own, other) for other in plain]
+        return min(float(np.arccos(np.clip((turn - 1) / 2, -1, 1)).mean()) for turn in turns)
+
+    return [int(i) for i in np.argsort([angle(placement) for placement in placements])[:count]]
+
+
+def choose(figure: Figure, targets: Sequence[Target], kind: str, progress: Progress, seed: int = 0) -> Choice:
+    """The style of a kind (``upper``, ``lower``) nearest to the cloth of ``targets``.
+
+    Raises:
+        CaphyError: there is no such cloth.
+    """
+    if not targets or any(len(target.cloth) == 0 for target in targets):
+        raise CaphyError(f"the scans have no points labelled {kind}; check their labels, or leave that garment out")
+    marks, rng = Landmarks.of(dressed_body(figure)), np.random.default_rng(seed)
+    surfaces = [(family, eases) for family in KINDS[kind] for eases in EASES[family]]
+    each, found, looked_at = -(-STYLES // len(surfaces)), [], 0
+    for i, (family, eases) in enumerate(surfaces):
+        progress(f"{kind}: styles", i, len(surfaces))
+        judge = Judge(Sheet.of(longest(family, eases, marks), marks), targets)
+        scores = [(judge(style), style) for style in styles_of(judge.sheet, each, rng)]
+        looked_at += len(scores)
+        score, style = min(scores, key=lambda pair: pair[0])
+        found.append((*refined_lengths(judge, style, score), judge))
+    best = min(found, key=lambda item: item[0])
+    families = {family: min(f[0] for f in found if f[1].family == family) for family in KINDS[kind]}
+    progress(f"{kind}: refining", 0, 1)
+    distance, style = refined(best[1], best[2], targets, marks)
+    return Choice(style, distance, looked_at, tuple(sorted(families.items(), key=lambda item: item[1])))
+
+
+class Judge:
+    """Compares styles of one surface with the scans."""
+
+    def __init__(self, sheet: Sheet, targets: Sequence[Target]):
+        self.sheet, self.targets = sheet, targets
+        self._posed = [target.posed(sheet.points, sheet.weights) for target in targets]
+        self._away = [target.from_garment(posed) for target, posed in zip(targets, self._posed, strict=True)]
+        self._limits = ranges(sheet.longest.family, sheet.marks)
+
+    def __call__(self, style: Family) -> float:
+        """Mean two-way distance [m], and a little for unusual lengths."""
+        kept = self.sheet.kept(style)
+        if kept.sum() < 50:
+            return float("inf")
+        score = 0.0
+        for target, posed, away in zip(self.targets, self._posed, self._away, strict=True):
+            score += away[kept].mean() + target.to_garment(posed[kept])
+        return score / (2 * len(self.targets)) + self._unusual(style)
+
+    def _unusual(self, style: Family) -> float:
+        if not hasattr(style, "rise"):
+            return 0.0
+        low, high = self._limits["rise"]
+        return USUAL * ((style.rise - 0.13 * self.sheet.marks.height) / (high - low)) ** 2  # pyright: ignore
+
+
+def refined_lengths(judge: Judge, style: Family, score: float) -> tuple[float, Family]:
+    """The style with its lengths at the nearest minimum (Nelder and Mead), within their ranges."""
+    limits = ranges(style.family, judge.sheet.marks)
+    names = list(TRIMS[style.family])
+    low, high = (np.array([limits[name][k] for name in names]) for k in (0, 1))
+
+    def styled(values: np.ndarray) -> Family:
+        return replace(style, **dict(zip(names, np.clip(values, low, high).tolist(), strict=True)))
+
+    start = np.array([getattr(style, name) for name in names])
+    corners = np.vstack([start, start + 0.03 * np.eye(len(names))])
+    options = {"initial_simplex": corners, "xatol": 0.001, "fatol": 1e-6, "maxfev": 40 * len(names)}
+    answer = minimize(lambda x: judge(styled(x)), start, method="Nelder-Mead", options=options)
+    return (float(answer.fun), styled(answer.x)) if answer.fun < score else (score, style)
+
+
+def refined(style: Family, judge: Judge, targets: Sequence[Target], marks: Landmarks) -> tuple[float, Family]:
+    """The style with neckline, eases and lengths improved one after another, with steps that halve."""
+    score = judge(style)
+    steps = {name: step for name, step in EASE_STEPS.items() if hasattr(style, name)}
+    for share in (1.0, 0.5):
+        if hasattr(style, "neck_width"):
+            score, style = _refined_neck(style, judge, score, share * NECK_STEP)
+        for name, step in steps.items():
+            for sign in (1.0, -1.0):
+                value = max(getattr(style, name) + sign * share * step, 0.0)
+                other = Judge(Sheet.of(replace(judge.sheet.longest, **{name: value}), marks), targets)
+                tried = replace(style, **{name: value})
+                found = other(tried)
+                if found < score:
+                    score, style, judge = found, tried, other
+                    break
+        score, style = refined_lengths(judge, style, score)
+    return score, style
+
+
+def _refined_neck(style: Family, judge: Judge, score: float, step: float) -> tuple[float, Family]:
+    for name in ("neck_width", "neck_depth"):
+        for sign in (1.0, -1.0):
+            tried = replace(style, **{name: max(getattr(style, name) + sign * step, 0.0)})
+            found = judge(tried)
+            if found < score:
+                score, style = found, tried
+                break
+    return score, style
+
+
+def made(choice: Choice, figure: Figure) -> Garment:
+    """The chosen style as a garment on the fitted body, T-pose."""
+    return make(choice.style, dressed_body(figure))
