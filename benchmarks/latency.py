@@ -9,18 +9,15 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import onnx
 import torch
 
+from benchmarks._straightforward import straightforward_graph
 from caphy.body.bundled import default_body
-from caphy.conventions import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from caphy.conventions import JOINT_NAMES
 from caphy.io.procedural import procedural_motion
 from caphy.network.garment_network import GarmentNetwork
-from export.features_graph import pose_features
-from export.garment_graph import garment_graph, gru
+from export.garment_graph import garment_graph
 from export.head import hidden_states, low_rank_head, worst_error
-from export.kinematics_graph import local_transforms, rotation_products, skinning_transforms
-from export.onnx_graph import OnnxGraph
 from export.parity import single_thread_session
 
 SIZES = (1000, 4424, 12000)
@@ -43,28 +40,6 @@ def shirt(count: int) -> GarmentNetwork:
         shapes = torch.sin(network.template @ waves.T + torch.rand(256))[:, None] * torch.randn(3, 256)
         network.head.weight.copy_((shapes * 0.02 / np.sqrt(256)).flatten(0, 1))
     return network
-
-
-def straightforward_graph(network: GarmentNetwork) -> onnx.ModelProto:
-    """As one would write it down: every joint, full head, blended transforms and skinning by einsum."""
-    graph, joints, count = OnnxGraph(), list(range(JOINT_COUNT)), len(network.template)
-    poses, transl = graph.input("poses", ["frames", JOINT_COUNT, 3]), graph.input("transl", ["frames", 3])
-    state = graph.input("state", [network.state_size])
-    products = rotation_products(graph, poses, joints)
-    local = local_transforms(graph, products, joints, network.joints.double().numpy())
-    moved = skinning_transforms(graph, local, joints, JOINT_PARENTS, joints)
-    features, motion = pose_features(graph, network, local, joints, transl=transl, state=state)
-    hidden, states = gru(graph, network, features, state)
-    weight, bias = (p.detach().double().numpy() for p in (network.head.weight, network.head.bias))
-    points = graph.node("Gemm", hidden, weight.T, bias + network.template.double().numpy().ravel())
-    points = graph.node("Reshape", points, [-1, count, 3])
-    points = graph.node("Pad", points, [0, 0, 0, 0, 0, 1], np.array(1.0))
-    blended = graph.node("Einsum", network.weights.double().numpy(), moved, equation="vj,tjab->tvab")
-    posed = graph.node("Einsum", blended, points, equation="tvab,tvb->tva")
-    posed = graph.node("Slice", posed, [0], [3], [2])
-    graph.output(graph.node("Add", posed, graph.node("Unsqueeze", transl, [1])), "vertices", ["frames", count, 3])
-    graph.output(graph.node("Concat", *states, motion, axis=0), "next_state", [network.state_size])
-    return graph.model("straightforward", "")
 
 
 def milliseconds(work: Callable[[], object], seconds: float = 1.5) -> tuple[float, float]:

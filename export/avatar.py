@@ -38,8 +38,7 @@ def bundled_garment(
     metrics = {
         "head_rank": head.rank,
         "head_worst_vertex_error_mm": round(1e3 * error, 4),
-        "parity_with_torch_mm": round(1e3 * parity.network, 5),
-        "parity_frame_by_frame_mm": round(1e3 * parity.streaming, 5),
+        **parity.metrics(),
     }
     mesh = SkinnedMesh.from_dense(
         network.template.numpy(), garment.faces, network.weights.double().numpy(), garment.regions

@@ -1,4 +1,8 @@
-"""Axis-angle poses to skinning transforms as ONNX nodes."""
+"""Axis-angle poses to skinning transforms as ONNX nodes.
+
+Joints and frames are the last two axes of everything here: each of a matrix's entries is one long row, and a product of
+matrices is a few products of rows, which costs a fraction of as many little matrix products.
+"""
 
 from __future__ import annotations
 
@@ -35,48 +39,49 @@ def rotation_from_quaternion() -> np.ndarray:
     return matrix
 
 
-def rotation_products(graph: OnnxGraph, poses: str, joints: Sequence[int]) -> str:
-    """Products q_a q_b (T, n + 1, 16) of the unit quaternions of ``joints``; the last one is the identity's.
+def quaternions(graph: OnnxGraph, poses: str, joints: Sequence[int]) -> str:
+    """Unit quaternions (4, n + 1, N), w first, of ``joints`` in poses (N, 55, 3); the last one is the identity.
 
     The angle is sqrt(|a|^2 + 1e-12): both cos(t/2) and sin(t/2)/t are smooth in t^2, so the shift costs nothing in
     float32 and spares a branch at zero.
     """
     angles = graph.node("Gather", poses, list(joints), axis=1)
     angles = graph.node("Pad", angles, [0, 0, 0, 0, 1, 0])
-    square = graph.node("ReduceSumSquare", angles, [-1], keepdims=1)
+    angles = graph.node("Transpose", angles, perm=[2, 1, 0])
+    square = graph.node("ReduceSumSquare", angles, [0], keepdims=1)
     angle = graph.node("Sqrt", graph.node("Add", square, np.array(1e-12)))
     half = graph.node("Mul", angle, np.array(0.5))
     imaginary = graph.node("Mul", angles, graph.node("Div", graph.node("Sin", half), angle))
-    quaternion = graph.node("Concat", graph.node("Cos", half), imaginary, axis=-1)
-    left = graph.node("Unsqueeze", quaternion, [3])
-    right = graph.node("Unsqueeze", quaternion, [2])
-    return graph.node("Reshape", graph.node("Mul", left, right), [0, len(joints) + 1, 16])
+    return graph.node("Concat", graph.node("Cos", half), imaginary, axis=0)
 
 
-def local_transforms(graph: OnnxGraph, products: str, joints: Sequence[int], rest: np.ndarray) -> str:
-    """Turns (T, n + 1, 16) of each joint about its own rest position, as row-major 4x4 matrices.
+def local_transforms(graph: OnnxGraph, quaternion: str, joints: Sequence[int], rest: np.ndarray) -> str:
+    """Turns (16, n + 1, N), row-major 4x4 matrices, of each joint about its own rest position.
 
     Their products down the tree are the skinning transforms themselves: no correction by the rest pose is left.
+    Entries are linear in the quaternion's products and in (1, c), c the rest position: [R, c - R c; 0, 1].
     """
-    count = len(joints) + 1
-    centre = np.concatenate([rest[list(joints)], np.zeros((1, 3))])
-    rotation = rotation_from_quaternion().reshape(16, 3, 3)
-    linear = np.zeros((count, 16, 4, 4))
-    linear[:, :, :3, :3] = rotation
-    linear[:, :, :3, 3] = -np.einsum("qik,nk->nqi", rotation, centre)
-    constant = np.zeros((count, 4, 4))
-    constant[:, :3, 3] = centre
-    constant[:, 3, 3] = 1
-    rows = graph.node("Unsqueeze", products, [2])
-    entries = graph.node("MatMul", rows, linear.reshape(count, 16, 16))
-    entries = graph.node("Reshape", entries, [0, count, 16])
-    return graph.node("Add", entries, constant.reshape(count, 16))
+    centre = np.concatenate([rest[list(joints)], np.zeros((1, 3))]).T
+    rotation = rotation_from_quaternion().T.reshape(3, 3, 16)
+    linear = np.zeros((4, 4, 4, 16))
+    linear[0, :3, :3] = rotation
+    linear[1:, :3, 3] = -rotation.swapaxes(0, 1)
+    constant = np.zeros((4, 4, centre.shape[1]))
+    constant[:3, 3], constant[3, 3] = centre, 1
+
+    left, right = (graph.node("Unsqueeze", quaternion, [axis]) for axis in (1, 0))
+    products = graph.node("Reshape", graph.node("Mul", left, right), [16, -1])
+    terms = graph.node("MatMul", linear.reshape(64, 16), products)
+    terms = graph.node("Reshape", terms, [4, 16, centre.shape[1], -1])
+    factors = np.concatenate([np.ones_like(centre[:1]), centre])
+    entries = graph.node("ReduceSum", graph.node("Mul", terms, factors[:, None, :, None]), [0], keepdims=0)
+    return graph.node("Add", entries, constant.reshape(16, -1, 1))
 
 
 def skinning_transforms(
     graph: OnnxGraph, local: str, joints: Sequence[int], parents: Sequence[int], wanted: Sequence[int]
 ) -> str:
-    """Rest-to-posed transforms (T, len(wanted), 4, 4) from local ones (T, n + 1, 16), without ``transl``.
+    """Rest-to-posed transforms (4, 4, len(wanted), N) from local ones (16, n + 1, N), without ``transl``.
 
     Pointer doubling: every round multiplies each joint's product by that of the joint where it ends and doubles the
     distance reached, so ceil(log2(depth)) batched products do the whole tree.
@@ -84,14 +89,16 @@ def skinning_transforms(
     place = {joint: i for i, joint in enumerate(joints)}
     nothing = len(joints)
     above = np.array([place.get(int(parents[j]), nothing) for j in joints] + [nothing])
-    current = graph.node("Reshape", local, [0, nothing + 1, 4, 4])
-    needed = [place[j] for j in wanted]
+    current, needed = local, [place[j] for j in wanted]
     while True:
         last = (above[above] == nothing).all()
         rows = needed if last else list(range(nothing + 1))
         ends = graph.node("Gather", current, above[rows], axis=1)
         own = graph.node("Gather", current, rows, axis=1) if last else current
-        current = graph.node("MatMul", ends, own)
+        left = graph.node("Reshape", ends, [4, 4, 1, len(rows), -1])
+        right = graph.node("Reshape", own, [1, 4, 4, len(rows), -1])
+        current = graph.node("ReduceSum", graph.node("Mul", left, right), [1], keepdims=0)
         if last:
             return current
+        current = graph.node("Reshape", current, [16, len(rows), -1])
         above = above[above]

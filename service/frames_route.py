@@ -79,7 +79,7 @@ async def post_frames(
     body = await hold.read(request)
 
     def work() -> Response:
-        stages = Stages(metrics)
+        stages = Stages(metrics.stage_seconds)
         with stages.time("parse"):
             parsed = frames.parse_json(body, engines) if sent == JSON_MEDIA_TYPE else protocol.decode_request(body)
             frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))

@@ -32,6 +32,7 @@ class Metrics:
         self.requests = self._counter("caphy_requests", "HTTP requests answered", "route", "method", "status")
         self.request_seconds = self._histogram("caphy_request_seconds", "From the first byte to the last", "route")
         self.stage_seconds = self._histogram("caphy_stage_seconds", "Share of parse, infer and encode", "stage")
+        self.stream_seconds = self._histogram("caphy_stream_seconds", "Share of parse, infer and encode", "stage")
         self.in_flight = self._gauge("caphy_inference_in_flight", "Inferences running or waiting for a thread")
         self.streams = self._gauge("caphy_streams", "WebSocket streams that are open")
         self.buffered = self._gauge("caphy_buffered_bytes", "Bytes of requests and answers held in memory")
@@ -61,10 +62,11 @@ class Metrics:
 
 
 class Stages:
-    """Times the stages of one request: :meth:`time` each, then read :attr:`server_timing`."""
+    """Times stages into a histogram labelled by them: :meth:`time` each, then read :attr:`server_timing`."""
 
-    def __init__(self, metrics: Metrics) -> None:
-        self._metrics = metrics
+    def __init__(self, histogram: Histogram) -> None:
+        self._histogram = histogram
+        self._children: dict[str, Histogram] = {}
         self._seconds: dict[str, float] = {}
 
     @contextmanager
@@ -72,8 +74,14 @@ class Stages:
         """Count the time inside towards ``stage``; what raises is not counted."""
         started = perf_counter()
         yield
-        self._seconds[stage] = perf_counter() - started
-        self._metrics.stage_seconds.labels(stage).observe(self._seconds[stage])
+        self.observe(stage, perf_counter() - started)
+
+    def observe(self, stage: str, seconds: float) -> None:
+        """Count ``seconds`` towards ``stage``."""
+        if stage not in self._children:
+            self._children[stage] = self._histogram.labels(stage)
+        self._children[stage].observe(seconds)
+        self._seconds[stage] = seconds
 
     @property
     def server_timing(self) -> str:

@@ -43,7 +43,7 @@ class Settings(BaseSettings):
     body_seconds: float = Field(20.0, gt=0, description="time to send a request's body [s]")
     send_seconds: float = Field(60.0, gt=0, description="time to take an answer [s]")
 
-    chunk_frames: int = Field(8, ge=1, description="frames per run of a network: small chunks stay in cache")
+    chunk_frames: int = Field(32, ge=1, description="frames per run of a network: beyond, nothing is gained")
     threads: int = Field(2, ge=1, description="requests computed at the same time")
 
     @field_validator("api_key")

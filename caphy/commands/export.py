@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.bundle import MANIFEST
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
 class Export:
     """Write an avatar bundle: one ONNX graph per trained garment, checked against its network, and the body.
 
+    Given an avatar bundle instead, write its garments' graphs anew: older ones may be slower than today's.
     With --format, write an avatar bundle that exists for other programs: at rest, or dressed on a motion.
     """
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Folders that 'caphy train' wrote, one per garment, innermost garment first; with --format, one avatar bundle."""
+    """Folders that 'caphy train' wrote, one per garment, innermost garment first; or one avatar bundle."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The bundle to write, a folder; with --format, a file ending in .glb or .usdc, or a folder for pc2 and obj."""
     format: Literal["bundle", "glb", "usd", "pc2", "obj"] = "bundle"
@@ -46,10 +48,23 @@ class Export:
 def main(arguments: list[str]) -> None:
     """Run ``caphy export`` with the arguments after it."""
     command = tyro.cli(Export, prog="caphy export", args=arguments)
-    if command.format == "bundle":
+    if command.format == "bundle" and len(command.runs) == 1 and (command.runs[0] / MANIFEST).is_file():
+        _export_again(command)
+    elif command.format == "bundle":
         _export_runs(command)
     else:
         _export_bundle(command)
+
+
+def _export_again(command: Export) -> None:
+    from caphy.io.bundle import read_bundle, write_bundle
+    from export.again import exported_again
+
+    bundle, parities = exported_again(read_bundle(command.runs[0]))
+    write_bundle(bundle, command.out)
+    for name, parity in parities.items():
+        print(f"{name}: {1e3 * parity.network:.4f} mm from the network in the graph before")
+    print(f"{command.out}: the same avatar with graphs of this version of caphy")
 
 
 def _export_bundle(command: Export) -> None:

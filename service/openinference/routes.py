@@ -96,7 +96,7 @@ async def infer(request: Request, model: ModelName, version: ModelVersion | None
     header_length = request.headers.get(messages.HEADER_LENGTH)
 
     def work() -> Response:
-        stages = Stages(metrics)
+        stages = Stages(metrics.stage_seconds)
         with stages.time("parse"):
             asked, tensors = messages.decode(body, header_length)
             wanted = asked.wanted(OUTPUTS)

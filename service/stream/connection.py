@@ -86,7 +86,8 @@ class Connection:
     async def _read(self, session: Session, scheduler: Scheduler, member: Member) -> None:
         while True:
             body = await self.receive()
-            message = self._take(session, body)
+            with scheduler.stages.time("parse"):
+                message = self._take(session, body)
             scheduler.wake(member)
             await self._allowance.spend(len(message.poses) if isinstance(message, Poses) else 1)
             while session.is_full or len(self._outbox) > OUTBOX:

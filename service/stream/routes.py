@@ -7,13 +7,13 @@ import logging
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from fastapi import FastAPI, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from caphy.errors import CaphyError
 from service.avatar_routes import find_avatar
+from service.metrics import Metrics, Stages
 from service.problem import Problem
 from service.stream.connection import Connection, StreamError
 from service.stream.limits import StreamLimits, read_limits
@@ -27,9 +27,9 @@ log = logging.getLogger("caphy.service")
 class Streams:
     """The streams of one process, counted in all and by client."""
 
-    def __init__(self, limits: StreamLimits, metrics: Any = None) -> None:
+    def __init__(self, limits: StreamLimits, metrics: Metrics) -> None:
         self.limits = limits
-        self.scheduler = Scheduler()
+        self.scheduler = Scheduler(Stages(metrics.stream_seconds))
         self._clients: Counter[str] = Counter()
         self._metrics = metrics
 
@@ -50,13 +50,12 @@ class Streams:
         self._clients[client] += change
         if not self._clients[client]:
             del self._clients[client]
-        if self._metrics is not None:
-            self._metrics.streams.inc(change)
+        self._metrics.streams.inc(change)
 
 
 def add_stream(app: FastAPI, limits: StreamLimits | None = None) -> None:
     """Mount the stream; limits that are not given are read from the environment."""
-    streams = Streams(limits or read_limits(), getattr(app.state, "metrics", None))
+    streams = Streams(limits or read_limits(), app.state.metrics)
 
     @app.websocket("/avatars/{avatar}/stream")
     async def stream(websocket: WebSocket, avatar: str) -> None:

@@ -10,11 +10,14 @@ from caphy.io.bundle import AvatarBundle
 from caphy.io.poses import PoseSequence
 from service.avatars import Avatar
 from service.encodings import Encoding
+from service.metrics import Metrics, Stages
 from service.stream.clock import CausalClock
 from service.stream.limits import StreamLimits
 from service.stream.messages import Credit, Dressed, GetState, Hello, Poses, Rate, Reset, ServerDecoder, State
 from service.stream.scheduler import Member, advance
 from service.stream.session import QUEUE, Session
+
+STAGES = Stages(Metrics().stream_seconds)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +51,7 @@ class Client:
     def run(self, free: bool = True) -> list[Dressed | State]:
         """Everything that the server says now."""
         self.member.free = lambda: free
-        while advance(self.member):
+        while advance([self.member], STAGES):
             pass
         found = [self.decoder.decode(body) for body in self.sent]
         self.sent.clear()
