@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,7 +18,13 @@ from service.encodings import Encoding, JointMotion, Meshes, Part, decode_meshes
 MEDIA_TYPE: Final = "application/octet-stream"
 VERSION: Final = 1
 REQUEST_HEADER: Final = struct.Struct("<4sHHIIfI")
-"""magic "CPHQ", version, reserved 0, frames, joints, fps, state floats."""
+"""magic "CPHQ", version, flags (0 in version 1), frames, joints, fps, state floats."""
+SEEN_VERSION: Final = 2
+"""Of requests with times or confidence, for conditioned motions."""
+TIMES: Final = 1
+"""Flag of version 2: times (T,) float64 follow the states."""
+CONFIDENCE: Final = 2
+"""Flag of version 2: confidence (T, J) float32 follows at the end."""
 RESPONSE_HEADER: Final = struct.Struct("<4sHHIff")
 """magic "CPHR", version, garments, frames, fps, fps of the request."""
 ENCODED_HEADER: Final = struct.Struct("<4sHHIffBBH")
@@ -33,12 +39,17 @@ FLOAT: Final = np.dtype("<f4")
 
 @dataclass(frozen=True, eq=False)
 class FramesRequest:
-    """Poses (T, J, 3) [rad], transl (T, 3) [m], fps [Hz], and the garments' states one after another (S,) or empty."""
+    """Poses (T, J, 3) [rad], transl (T, 3) [m], fps [Hz], and the garments' states one after another (S,) or empty.
+
+    times (T,) [s] and confidence (T,) or (T, J): of motions to be conditioned, where they are known.
+    """
 
     poses: np.ndarray
     transl: np.ndarray
     fps: float
     state: np.ndarray
+    times: np.ndarray | None = None
+    confidence: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +68,8 @@ class FramesResponse:
     normals: Mapping[str, np.ndarray] = field(default_factory=dict)
     weights: Mapping[str, np.ndarray] = field(default_factory=dict)
     joints: JointMotion | None = None
+    conditioning: Mapping[str, Any] | None = None
+    """What was done to the poses, where they were conditioned; over the wire it is a header of the answer."""
 
     @property
     def meshes(self) -> Meshes:
@@ -68,28 +81,51 @@ class FramesResponse:
 def encode_request(request: FramesRequest) -> bytes:
     """The bytes of a request."""
     frames, joints, _ = request.poses.shape
-    header = REQUEST_HEADER.pack(b"CPHQ", VERSION, 0, frames, joints, request.fps, request.state.size)
-    arrays = (request.poses, request.transl, request.state)
-    return b"".join([header, *(np.ascontiguousarray(a, FLOAT).tobytes() for a in arrays)])
+    flags = TIMES * (request.times is not None) | CONFIDENCE * (request.confidence is not None)
+    version = SEEN_VERSION if flags else VERSION
+    header = REQUEST_HEADER.pack(b"CPHQ", version, flags, frames, joints, request.fps, request.state.size)
+    parts = [
+        header,
+        *(np.ascontiguousarray(a, FLOAT).tobytes() for a in (request.poses, request.transl, request.state)),
+    ]
+    if request.times is not None:
+        parts.append(np.ascontiguousarray(request.times, "<f8").tobytes())
+    if request.confidence is not None:
+        confidence = request.confidence if request.confidence.ndim == 2 else request.confidence[:, None]
+        parts.append(np.ascontiguousarray(np.broadcast_to(confidence, (frames, joints)), FLOAT).tobytes())
+    return b"".join(parts)
 
 
 def decode_request(body: bytes) -> FramesRequest:
     """The request of ``body``; raises CaphyError where the bytes are not one."""
     if len(body) < REQUEST_HEADER.size:
         raise CaphyError(f"a request starts with a header of {REQUEST_HEADER.size} bytes, got {len(body)} in all")
-    magic, version, reserved, frames, joints, fps, states = REQUEST_HEADER.unpack_from(body)
-    if magic != b"CPHQ" or version != VERSION or reserved != 0:
+    magic, version, flags, frames, joints, fps, states = REQUEST_HEADER.unpack_from(body)
+    known = TIMES | CONFIDENCE if version == SEEN_VERSION else 0
+    if magic != b"CPHQ" or version not in (VERSION, SEEN_VERSION) or flags & ~known:
         raise CaphyError(
-            f"a request starts with CPHQ, version {VERSION} and 0, got {magic!r}, {version} and {reserved}"
+            f"a request starts with CPHQ, version {VERSION} and 0 (or {SEEN_VERSION} and flags), got {magic!r}, "
+            f"{version} and {flags}"
         )
-    expected = REQUEST_HEADER.size + 4 * (frames * joints * 3 + frames * 3 + states)
+    plain = REQUEST_HEADER.size + 4 * (frames * joints * 3 + frames * 3 + states)
+    timed = 8 * frames if flags & TIMES else 0
+    expected = plain + timed + (4 * frames * joints if flags & CONFIDENCE else 0)
     if len(body) != expected:
         raise CaphyError(
             f"{frames} frames of {joints} joints and {states} state floats make {expected} bytes, got {len(body)}"
         )
-    floats = np.frombuffer(body, FLOAT, offset=REQUEST_HEADER.size)
+    floats = np.frombuffer(body, FLOAT, (plain - REQUEST_HEADER.size) // 4, REQUEST_HEADER.size)
     poses, transl, state = np.split(floats, [frames * joints * 3, frames * (joints + 1) * 3])
-    return FramesRequest(poses.reshape(frames, joints, 3), transl.reshape(frames, 3), float(fps), state)
+    times = np.frombuffer(body, "<f8", frames, plain) if flags & TIMES else None
+    confidence = np.frombuffer(body, FLOAT, frames * joints, plain + timed) if flags & CONFIDENCE else None
+    return FramesRequest(
+        poses.reshape(frames, joints, 3),
+        transl.reshape(frames, 3),
+        float(fps),
+        state,
+        times,
+        None if confidence is None else confidence.reshape(frames, joints),
+    )
 
 
 def encode_response(response: FramesResponse) -> list[Part]:

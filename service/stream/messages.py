@@ -27,6 +27,8 @@ WELCOME: Final = struct.Struct("<fHH")
 """fps of the avatar, most frames of one message, most credits."""
 MESHES: Final = struct.Struct("<If")
 """tick of the first mesh, milliseconds between the poses' arrival and this message."""
+CONDITIONED: Final = struct.Struct("<d")
+"""The moment of the first mesh [s], in the answers of a conditioned stream; a byte for each frame follows."""
 RATE: Final = struct.Struct("<f")
 NAME: Final = struct.Struct("<40s")
 GARMENT: Final = struct.Struct("<40sII")
@@ -45,6 +47,7 @@ class Kind(IntEnum):
     RESET = 4
     RATE = 5
     GET_STATE = 6
+    SEEN = 7
     WELCOME = 129
     MESHES = 130
     STATE = 131
@@ -58,7 +61,10 @@ ENCODINGS: Final = {encoding.value: encoding for encoding in Encoding}
 @dataclass(frozen=True, eq=False)
 class Hello:
     """The first message: garments (all where none is named), how to pack them, the poses' rate [Hz], credits, and the
-    states (S,) of an earlier stream to continue, one after another, or none."""
+    states (S,) of an earlier stream to continue, one after another, or none.
+
+    conditioning: "" for none, "on", or settings in JSON, see docs/conditioning.md.
+    """
 
     garments: tuple[str, ...]
     fps: float
@@ -66,6 +72,7 @@ class Hello:
     normals: bool = False
     credits: int = 2
     state: np.ndarray = field(default_factory=lambda: np.zeros(0, FLOAT))
+    conditioning: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +83,15 @@ class Poses:
     time: float
     poses: np.ndarray
     transl: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Seen(Poses):
+    """Poses of a conditioned stream with their own ``times`` (T,) [s] and ``confidence`` (T, 55) from 0 to 1; 0 in all
+    joints is a frame in which nobody was seen."""
+
+    times: np.ndarray
+    confidence: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -115,12 +131,14 @@ class GarmentRecord:
 
 @dataclass(frozen=True)
 class Welcome:
-    """The stream begins: the avatar's rate [Hz], the limits, and the garments in the order of the meshes."""
+    """The stream begins: the avatar's rate [Hz], the limits, and the garments in the order of the meshes; and how much
+    later than without conditioning a moment is shown [s], 0 where there is none."""
 
     fps: float
     max_frames: int
     max_credits: int
     garments: tuple[GarmentRecord, ...]
+    latency: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +147,9 @@ class Dressed:
 
     number: of the newest pose taken in. skipped: messages of poses so far that were taken in and not answered.
     time: as the poses' message had it [s]. tick: index of the first mesh, at the avatar's rate, since hello or reset.
-    milliseconds: between the poses' arrival and this message's departure.
+    milliseconds: between the poses' arrival and this message's departure. did, shown: of a conditioned stream, what
+    was done to each frame (T,) uint8, see :class:`caphy.conditioning.Did`, and the moment of the first mesh on the
+    poses' clock [s]; none and 0 of others.
     """
 
     number: int
@@ -138,6 +158,8 @@ class Dressed:
     tick: int
     milliseconds: float
     meshes: Meshes
+    did: np.ndarray | None = None
+    shown: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,11 +190,17 @@ def encode_client(message: ClientMessage) -> bytes:
         case Hello():
             rates = HELLO.pack(message.fps, message.credits, message.encoding, NORMALS if message.normals else 0)
             names = [NAME.pack(name.encode("ascii")) for name in message.garments]
-            head = _header(Kind.HELLO, len(names), extra=message.state.size)
-            return b"".join([head, rates, *names, _floats(message.state)])
+            text = message.conditioning.encode()
+            head = _header(Kind.HELLO, len(names), len(text), message.state.size)
+            return b"".join([head, rates, *names, _floats(message.state), text])
         case Poses():
-            head = _header(Kind.POSES, len(message.poses), message.number, time=message.time)
-            return b"".join([head, _floats(message.poses), _floats(message.transl)])
+            kind = Kind.SEEN if isinstance(message, Seen) else Kind.POSES
+            head = _header(kind, len(message.poses), message.number, time=message.time)
+            parts = [head, _floats(message.poses), _floats(message.transl)]
+            if isinstance(message, Seen):
+                times = np.ascontiguousarray(message.times, "<f8").tobytes()
+                parts = [head, times, *parts[1:], _floats(message.confidence)]
+            return b"".join(parts)
         case Credit():
             return _header(Kind.CREDIT, extra=message.count)
         case Reset():
@@ -188,12 +216,16 @@ def decode_client(body: bytes) -> ClientMessage:
     kind, count, number, extra, time = _read_header(body)
     match kind:
         case Kind.HELLO:
-            return _decode_hello(body, count, extra)
+            return _decode_hello(body, count, number, extra)
         case Kind.POSES:
             _require_length(body, HEADER.size + 4 * count * POSE_FLOATS, f"{count} poses of {JOINT_COUNT} joints")
-            floats = np.frombuffer(body, FLOAT, offset=HEADER.size)
-            poses, transl = floats[: 3 * JOINT_COUNT * count], floats[3 * JOINT_COUNT * count :]
-            return Poses(number, time, poses.reshape(count, JOINT_COUNT, 3), transl.reshape(count, 3))
+            return Poses(number, time, *_split(np.frombuffer(body, FLOAT, offset=HEADER.size), count)[:2])
+        case Kind.SEEN:
+            expected = HEADER.size + count * (8 + 4 * (POSE_FLOATS + JOINT_COUNT))
+            _require_length(body, expected, f"{count} poses of {JOINT_COUNT} joints with times and confidence")
+            times = np.frombuffer(body, "<f8", count, HEADER.size)
+            poses, transl, rest = _split(np.frombuffer(body, FLOAT, offset=HEADER.size + 8 * count), count)
+            return Seen(number, time, poses, transl, times, rest.reshape(count, JOINT_COUNT))
         case Kind.CREDIT | Kind.RESET | Kind.GET_STATE:
             _require_length(body, HEADER.size, f"a message of type {kind.value}")
             return {Kind.CREDIT: Credit(extra), Kind.RESET: Reset()}.get(kind, GetState(time))
@@ -203,11 +235,16 @@ def decode_client(body: bytes) -> ClientMessage:
     raise CaphyError(f"type {kind.value} is one of the server's, a client sends {_types(False)}")
 
 
-def _decode_hello(body: bytes, count: int, states: int) -> Hello:
+def _split(floats: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poses (T, 55, 3), transl (T, 3), and what comes after them."""
+    poses, transl, rest = np.split(floats, [3 * JOINT_COUNT * count, POSE_FLOATS * count])
+    return poses.reshape(count, JOINT_COUNT, 3), transl.reshape(count, 3), rest
+
+
+def _decode_hello(body: bytes, count: int, letters: int, states: int) -> Hello:
     start = HEADER.size + HELLO.size
-    _require_length(
-        body, start + NAME.size * count + 4 * states, f"hello with {count} garments and {states} state floats"
-    )
+    end = start + NAME.size * count + 4 * states
+    _require_length(body, end + letters, f"hello with {count} garments, {states} state floats, {letters} letters")
     fps, credits, code, flags = HELLO.unpack_from(body, HEADER.size)
     if code not in ENCODINGS:
         raise CaphyError(f"the encoding must be one of {list(ENCODINGS)}, got {code}")
@@ -215,13 +252,17 @@ def _decode_hello(body: bytes, count: int, states: int) -> Hello:
         raise CaphyError(f"flags must be 0 or {NORMALS}, got {flags}")
     names = tuple(_name(NAME.unpack_from(body, start + i * NAME.size)[0]) for i in range(count))
     state = np.frombuffer(body, FLOAT, states, start + NAME.size * count)
-    return Hello(names, fps, ENCODINGS[code], bool(flags), credits, state)
+    try:
+        text = body[end:].decode()
+    except UnicodeDecodeError as error:
+        raise CaphyError(f"the settings of conditioning must be UTF-8, got {body[end : end + 40]!r}") from error
+    return Hello(names, fps, ENCODINGS[code], bool(flags), credits, state, text)
 
 
 def encode_welcome(message: Welcome) -> bytes:
     """The bytes of the server's first message."""
     states = sum(garment.state_size for garment in message.garments)
-    head = _header(Kind.WELCOME, len(message.garments), extra=states)
+    head = _header(Kind.WELCOME, len(message.garments), extra=states, time=message.latency)
     records = [GARMENT.pack(g.name.encode("ascii"), g.count, g.state_size) for g in message.garments]
     return b"".join([head, WELCOME.pack(message.fps, message.max_frames, message.max_credits), *records])
 
@@ -229,7 +270,11 @@ def encode_welcome(message: Welcome) -> bytes:
 def encode_meshes_message(message: Dressed, encoding: Encoding) -> list[Part]:
     """The parts of the bytes of an answer, in order."""
     head = _header(Kind.MESHES, message.meshes.frames, message.number, message.skipped, message.time)
-    return [head, MESHES.pack(message.tick, message.milliseconds), *encode_meshes(message.meshes, encoding)]
+    parts = [head, MESHES.pack(message.tick, message.milliseconds)]
+    if message.did is not None:
+        did = np.ascontiguousarray(message.did, np.uint8).tobytes()
+        parts += [CONDITIONED.pack(message.shown), did, bytes(-len(did) % 4)]
+    return [*parts, *encode_meshes(message.meshes, encoding)]
 
 
 def encode_state(message: State) -> bytes:
@@ -250,6 +295,7 @@ class ServerDecoder:
     encoding: Encoding
     normals: bool
     counts: Mapping[str, int] = field(default_factory=dict)
+    conditioned: bool = False
 
     def decode(self, body: bytes) -> ServerMessage:
         """The server's message in ``body``; raises CaphyError where the bytes are none."""
@@ -257,12 +303,12 @@ class ServerDecoder:
         try:
             match kind:
                 case Kind.WELCOME:
-                    return self._welcome(body, count)
+                    return self._welcome(body, count, time)
                 case Kind.MESHES:
                     tick, milliseconds = MESHES.unpack_from(body, HEADER.size)
-                    start = HEADER.size + MESHES.size
+                    did, shown, start = self._conditions(body, count)
                     meshes, _ = decode_meshes(body, start, self.encoding, count, self.counts, self.normals)
-                    return Dressed(number, extra, time, tick, milliseconds, meshes)
+                    return Dressed(number, extra, time, tick, milliseconds, meshes, did, shown)
                 case Kind.STATE:
                     return State(number, time, np.frombuffer(body, FLOAT, extra, HEADER.size))
                 case Kind.ERROR:
@@ -271,13 +317,22 @@ class ServerDecoder:
             raise CaphyError(f"the message of type {kind.value} is cut short: {error}") from error
         raise CaphyError(f"type {kind.value} is one of the client's, a server sends {_types(True)}")
 
-    def _welcome(self, body: bytes, count: int) -> Welcome:
+    def _conditions(self, body: bytes, frames: int) -> tuple[np.ndarray | None, float, int]:
+        """What was done to the frames, the moment of the first, and where the meshes start."""
+        start = HEADER.size + MESHES.size
+        if not self.conditioned:
+            return None, 0.0, start
+        (shown,) = CONDITIONED.unpack_from(body, start)
+        start += CONDITIONED.size
+        return np.frombuffer(body, np.uint8, frames, start), shown, start + frames + -frames % 4
+
+    def _welcome(self, body: bytes, count: int, latency: float) -> Welcome:
         start = HEADER.size + WELCOME.size
         records = [GARMENT.unpack_from(body, start + i * GARMENT.size) for i in range(count)]
         garments = tuple(GarmentRecord(_name(name), vertices, states) for name, vertices, states in records)
         self.counts = {garment.name: garment.count for garment in garments}
         fps, frames, most = WELCOME.unpack_from(body, HEADER.size)
-        return Welcome(fps, frames, most, garments)
+        return Welcome(fps, frames, most, garments, latency)
 
 
 def _header(kind: Kind, count: int = 0, number: int = 0, extra: int = 0, time: float = 0.0) -> bytes:

@@ -19,12 +19,14 @@ import numpy as np
 from caphy.errors import CaphyError
 from service import frames
 from service.avatars import Avatar
+from service.conditioned import body_of, parse_settings
 from service.encodings import Encoding, Meshes
 from service.engine import GarmentEngine
 from service.frames import FPS_RANGE, Wanted
 from service.problem import Problem
 from service.protocol import FramesRequest
 from service.stream.clock import CausalClock
+from service.stream.conditioned import ConditionedClock, Conditions
 from service.stream.limits import StreamLimits
 from service.stream.messages import (
     Credit,
@@ -35,6 +37,7 @@ from service.stream.messages import (
     Poses,
     Rate,
     Reset,
+    Seen,
     State,
     Welcome,
     encode_meshes_message,
@@ -51,13 +54,22 @@ QUEUE: Final = 128
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """A message of poses at the avatar's rate: poses (N, 55, 3) and transl (N, 3), float32; N may be 0."""
+    """A message of poses at the avatar's rate: poses (N, 55, 3) and transl (N, 3), float32; N may be 0.
+
+    conditions: what was done to them, of a conditioned stream.
+    """
 
     number: int
     time: float
     arrived: float
     poses: np.ndarray
     transl: np.ndarray
+    conditions: Conditions | None = None
+
+    @property
+    def settle(self) -> tuple[int, ...]:
+        """The frames at which garments begin anew."""
+        return () if self.conditions is None else self.conditions.settle
 
 
 @dataclass(frozen=True)
@@ -71,7 +83,7 @@ class Restart:
 class Job:
     """Poses to live (N, 55, 3), and which of them to show: all from ``shown`` on, as the answer to ``answered``.
 
-    kept: the answer waits for a credit.
+    kept: the answer waits for a credit. settle: the poses at which garments begin anew.
     """
 
     poses: np.ndarray
@@ -80,6 +92,7 @@ class Job:
     number: int
     answered: Ticks | None
     kept: bool = False
+    settle: tuple[int, ...] = ()
 
 
 class Session:
@@ -103,7 +116,11 @@ class Session:
         self._queue: deque[Ticks | Restart | GetState] = deque()
         self._poses_waiting = 0
         self._kept: bytes | None = None
-        self._clock = CausalClock(self.fps, _checked_rate(hello.fps), limits.max_frames)
+        rate, settings = _checked_rate(hello.fps), parse_settings(hello.conditioning, self.fps)
+        self._clock: CausalClock | ConditionedClock = CausalClock(self.fps, rate, limits.max_frames)
+        if settings is not None:
+            body = body_of(avatar.bundle)
+            self._clock = ConditionedClock(settings, body, rate, limits.max_frames, bool(hello.state.size))
         self._add_credits(hello.credits)
 
     def welcome(self) -> Welcome:
@@ -112,7 +129,8 @@ class Session:
         records = [
             GarmentRecord(e.name, e.weight_count if weights else e.vertex_count, e.state_size) for e in self.engines
         ]
-        return Welcome(self.fps, self.limits.max_frames, self.limits.max_credits, tuple(records))
+        latency = self._clock.latency if isinstance(self._clock, ConditionedClock) else 0.0
+        return Welcome(self.fps, self.limits.max_frames, self.limits.max_credits, tuple(records), latency)
 
     @property
     def is_full(self) -> bool:
@@ -166,7 +184,10 @@ class Session:
         if job.answered is None:
             return None
         taken = 1e3 * (perf_counter() - job.answered.arrived)
-        message = Dressed(job.number, self.skipped, job.answered.time, self._tick - meshes.frames, taken, meshes)
+        done = job.answered.conditions
+        conditions = (None, 0.0) if done is None else (done.did, done.time)
+        tick = self._tick - meshes.frames
+        message = Dressed(job.number, self.skipped, job.answered.time, tick, taken, meshes, *conditions)
         body = b"".join(encode_meshes_message(message, self.wanted.encoding))
         if not job.kept:
             return body
@@ -195,11 +216,20 @@ class Session:
             raise CaphyError(
                 f"at most {self.limits.max_frames} frames are taken at once, got {len(message.poses)}; send fewer"
             )
-        poses, transl = self._clock.take(message.number, message.poses, message.transl)
         last = message.number + len(message.poses) - 1
-        self._queue.append(Ticks(last, message.time, perf_counter(), poses, transl))
+        poses, transl, conditions = self._at_the_avatars_rate(message)
+        self._queue.append(Ticks(last, message.time, perf_counter(), poses, transl, conditions))
         self._poses_waiting += 1
         self._frames += len(poses)
+
+    def _at_the_avatars_rate(self, message: Poses) -> tuple[np.ndarray, np.ndarray, Conditions | None]:
+        seen = isinstance(message, Seen)
+        if isinstance(self._clock, ConditionedClock):
+            extra = (message.times, message.confidence) if seen else (None, None)
+            return self._clock.take(message.number, message.poses, message.transl, *extra)
+        if seen:
+            raise CaphyError("times and confidence are for conditioned streams; ask for conditioning in hello")
+        return *self._clock.take(message.number, message.poses, message.transl), None
 
     def _add_credits(self, count: int) -> None:
         self._credits = min(self._credits + count, self.limits.max_credits)
@@ -253,7 +283,9 @@ class Session:
         poses = lived[0].poses if len(lived) == 1 else np.concatenate([item.poses for item in lived])
         transl = lived[0].transl if len(lived) == 1 else np.concatenate([item.transl for item in lived])
         shown = len(poses) - (len(answered.poses) if answered else 0)
-        return Job(poses, transl, shown, lived[-1].number, answered, kept)
+        starts = np.cumsum([0, *(len(item.poses) for item in lived[:-1])]).tolist()
+        settle = tuple(start + i for start, item in zip(starts, lived, strict=True) for i in item.settle)
+        return Job(poses, transl, shown, lived[-1].number, answered, kept, settle)
 
     def _may_skip(self, available: int) -> bool:
         """Whether the first in the queue are poses that will not be answered and must not wait."""

@@ -1,0 +1,126 @@
+"""Requests whose poses are conditioned before they are dressed, and what their answers say of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from caphy.conditioning import Body, Conditioner, Conditioning, Did, Frame, condition
+from caphy.errors import CaphyError
+from caphy.io.bundle import AvatarBundle
+from service.problem import Problem
+from service.protocol import FramesRequest
+
+HEADER: Final = "caphy-conditioning"
+OFF: Final = "off"
+MOST_RUNS: Final = 100
+"""Runs of frames that a header tells of; those of longer answers are cut."""
+MOST_SETTINGS: Final = 2000
+"""Characters of settings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Conditioned:
+    """Poses (N, 55, 3) and transl (N, 3), float32 at the avatar's rate, where garments begin anew in them, and what
+    was done, JSON-ready."""
+
+    poses: np.ndarray
+    transl: np.ndarray
+    settle: tuple[int, ...]
+    report: dict[str, Any]
+
+
+def parse_settings(text: str, fps: float) -> Conditioning | None:
+    """What ``?condition=`` or hello asks for at the avatar's ``fps``: ``off`` or nothing, ``on``, or settings in JSON.
+
+    Raises Problem 422 for anything else; ``fps`` is the avatar's and is not for clients to choose.
+    """
+    if text in ("", OFF):
+        return None
+    try:
+        given = {} if text == "on" else json.loads(text[:MOST_SETTINGS])
+        if isinstance(given, dict) and "fps" in given:
+            raise CaphyError(f"conditioning: fps is the avatar's, {fps:g}; leave it out")
+        return Conditioning.of({**given, "fps": fps} if isinstance(given, dict) else given)
+    except (ValueError, RecursionError) as error:
+        raise Problem(422, f"condition: must be on, off, or settings in JSON, got {text[:60]!r}") from error
+    except CaphyError as error:
+        raise Problem(422, str(error)) from error
+
+
+def body_of(bundle: AvatarBundle) -> Body:
+    """What conditioning needs of the avatar's body."""
+    return Body(bundle.joints, float(bundle.body.vertices[:, 1].min()))
+
+
+def require_conditionable(request: FramesRequest, settings: Conditioning | None, most: int) -> None:
+    """Raise Problem where times or confidences are not for this request, or would make more than ``most`` frames."""
+    if settings is None:
+        if request.times is not None or request.confidence is not None:
+            raise Problem(422, "times and confidence are for conditioned motions; ask for it with ?condition=on")
+        return
+    if request.state.size:
+        raise Problem(
+            422, "a conditioned motion cannot be continued: the filter's memory is not in the state; use the stream"
+        )
+    frames = len(request.poses)
+    if request.times is not None:
+        if request.times.shape != (frames,) or not np.isfinite(request.times).all():
+            raise Problem(422, f"times: must be {frames} finite numbers [s], one for each pose")
+        if (float(np.ptp(request.times)) if frames else 0.0) * settings.fps + 1 > most:
+            raise Problem(413, f"times: at most {most} frames at {settings.fps:g} fps are answered at once; send less")
+    if request.confidence is not None and request.confidence.shape not in (
+        (frames,),
+        (frames, request.poses.shape[1]),
+    ):
+        raise Problem(422, f"confidence: must have shape ({frames},) or ({frames}, 55), got {request.confidence.shape}")
+
+
+def conditioned(request: FramesRequest, settings: Conditioning, body: Body) -> Conditioned:
+    """The request's poses, conditioned; raises Problem where nobody is in them."""
+    conditioner = Conditioner(settings, body)
+    times = np.arange(len(request.poses)) / request.fps if request.times is None else request.times
+    frames = condition(conditioner, times, request.poses, request.transl, request.confidence)
+    if not frames:
+        raise Problem(422, f"nobody was seen in any of {len(times)} poses, so there is nothing to dress")
+    report = {
+        "settings": asdict(settings),
+        "latency": settings.latency,
+        "start": frames[0].time,
+        **conditioner.summary.as_json(),
+        "did": runs(frames),
+        "world": conditioner.world(),
+    }
+    return Conditioned(*arrays(frames), settled_at(frames), report)
+
+
+def arrays(frames: Sequence[Frame]) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (N, 55, 3) and transl (N, 3) of frames, float32; N may be 0."""
+    poses = np.array([frame.poses for frame in frames], np.float32).reshape(-1, 55, 3)
+    return poses, np.array([frame.transl for frame in frames], np.float32).reshape(-1, 3)
+
+
+def settled_at(frames: Sequence[Frame]) -> tuple[int, ...]:
+    """Where garments begin anew."""
+    return tuple(i for i, frame in enumerate(frames) if Did.RESET in frame.did)
+
+
+def runs(frames: Sequence[Frame]) -> list[list[int]]:
+    """[first frame, last frame, flags of :class:`Did`] of every run of frames to which the same was done, if any."""
+    found: list[list[int]] = []
+    for i, frame in enumerate(frames):
+        did = int(frame.did)
+        if found and found[-1][1] == i - 1 and found[-1][2] == did:
+            found[-1][1] = i
+        elif did:
+            found.append([i, i, did])
+    return found[:MOST_RUNS]
+
+
+def header(report: dict[str, Any] | None) -> dict[str, str]:
+    """The header that says what was done to the poses of an answer."""
+    return {HEADER: OFF if report is None else json.dumps(report, separators=(",", ":"))}

@@ -1,0 +1,97 @@
+"""A stream's clock where its poses are conditioned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from caphy.conditioning import Body, Conditioner, Conditioning, Frame
+from caphy.errors import CaphyError
+from service.conditioned import arrays, settled_at
+
+NEVER: Final = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What was done to N frames: ``did`` (N,) uint8 of :class:`caphy.conditioning.Did`, where garments begin anew, and
+    the moment of the first on the poses' clock [s], 0 where there are none."""
+
+    did: np.ndarray
+    settle: tuple[int, ...]
+    time: float
+
+
+NOTHING: Final = Conditions(np.zeros(0, np.uint8), (), 0.0)
+
+
+class ConditionedClock:
+    """Turns poses into frames at the avatar's rate by a :class:`Conditioner`.
+
+    ``pose_fps`` [Hz] gives times to poses that come without them. ``longest``: frames that are answered at once at
+    most; a longer silence is left out. ``continued``: the first frame goes on from a state that the client gave.
+    """
+
+    def __init__(
+        self, settings: Conditioning, body: Body, pose_fps: float, longest: int, continued: bool = False
+    ) -> None:
+        self.pose_fps = pose_fps
+        self._longest = longest
+        self._conditioner = Conditioner(settings, body, longest=(longest - 1) / settings.fps - settings.latency)
+        self._continued = continued
+        self._number = NEVER
+        self._time = 0.0
+
+    @property
+    def latency(self) -> float:
+        """What is stated [s]."""
+        return self._conditioner.settings.latency
+
+    @property
+    def number(self) -> int:
+        """Of the newest pose, 0 before the first."""
+        return max(0, self._number)
+
+    def restart(self) -> None:
+        """The next pose is tick 0 of a new motion."""
+        self._conditioner.restart()
+        self._number, self._time = NEVER, 0.0
+
+    def take(
+        self,
+        number: int,
+        poses: np.ndarray,
+        transl: np.ndarray,
+        times: np.ndarray | None,
+        confidence: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray, Conditions]:
+        """Poses (N, 55, 3) and transl (N, 3), float32, of the frames that are complete after poses (T, 55, 3) from
+        ``number`` on, and what was done to them. Raises CaphyError where numbers do not rise."""
+        if number <= self._number:
+            raise CaphyError(f"numbers must rise: after {self._number} came {number}; reset starts a new motion")
+        if times is None:
+            gap = (number - self._number) / self.pose_fps if self._number != NEVER else 0.0
+            times = self._time + gap + np.arange(len(poses)) / self.pose_fps
+        if (times[-1] - times[0]) * self._conditioner.settings.fps > self._longest:
+            raise CaphyError(
+                f"times of one message may span {self._longest} frames of the avatar's, got "
+                f"{times[-1] - times[0]:.3f} s; send fewer poses at a time"
+            )
+        frames: list[Frame] = []
+        for i, time in enumerate(times):
+            frames += self._conditioner.push(
+                float(time), poses[i], transl[i], None if confidence is None else confidence[i]
+            )
+        self._number = number + len(poses) - 1
+        self._time = float(times[-1]) if np.isfinite(times[-1]) else self._time
+        return *arrays(frames), self._conditions(frames)
+
+    def _conditions(self, frames: list[Frame]) -> Conditions:
+        if not frames:
+            return NOTHING
+        settle = settled_at(frames)
+        if self._continued:
+            settle, self._continued = tuple(i for i in settle if i), False
+        return Conditions(np.array([int(frame.did) for frame in frames], np.uint8), settle, frames[0].time)
