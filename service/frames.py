@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,11 +13,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.io.poses import PoseSequence
 from caphy.rotations import quaternion_from_axis_angle
+from service.conditioned import Conditioned
 from service.encodings import LABELS, Encoding, JointMotion, Meshes
 from service.engine import GarmentEngine
 from service.problem import Problem
 from service.protocol import FramesRequest, FramesResponse
 from service.settings import Settings
+from service.settling import run_settling
 
 MAX_ANGLE: Final = 4 * np.pi
 """Largest rotation of a joint [rad]: more than two turns are degrees, or a mistake."""
@@ -47,6 +49,10 @@ class JsonRequest(BaseModel):
     )
     fps: float = Field(description="frames per second of the poses [Hz]")
     state: dict[str, list[float]] = Field({}, description="state per garment, from the answer this one continues")
+    times: list[float] | None = Field(None, description="time stamp per frame [s]: (T,), for conditioned motions")
+    confidence: list[list[float]] | list[float] | None = Field(
+        None, description="per frame, or frame and joint, 0 for not seen to 1: (T,) or (T, 55), for conditioned motions"
+    )
 
 
 def parse_json(body: bytes, engines: list[GarmentEngine]) -> FramesRequest:
@@ -59,7 +65,12 @@ def parse_json(body: bytes, engines: list[GarmentEngine]) -> FramesRequest:
         raise Problem(422, f"{where}: {first['msg']}") from error
     poses = _array(parsed.poses, "poses", "(frames, 55, 3)", 3)
     transl = np.zeros((len(poses), 3)) if parsed.transl is None else _array(parsed.transl, "transl", "(frames, 3)", 2)
-    return FramesRequest(poses, transl, parsed.fps, _joined_state(parsed.state, engines))
+    times = None if parsed.times is None else _array(parsed.times, "times", "(frames,)", 1)
+    confidence = parsed.confidence
+    if confidence is not None:
+        deep = bool(confidence) and isinstance(confidence[0], list)
+        confidence = _array(confidence, "confidence", "(frames,) or (frames, 55)", 2 if deep else 1)
+    return FramesRequest(poses, transl, parsed.fps, _joined_state(parsed.state, engines), times, confidence)
 
 
 def _array(values: list[Any], name: str, shape: str, dimensions: int) -> np.ndarray:
@@ -117,8 +128,10 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, state_
 
 
 def answered_frames(request: FramesRequest, fps: float) -> int:
-    """How many frames at ``fps`` answer the request."""
+    """How many frames at ``fps`` answer the request, at most where it is conditioned."""
     frames = len(request.poses)
+    if request.times is not None:
+        return int(float(np.ptp(request.times)) * fps + 1e-6) + 1
     return frames if request.fps == fps else int((frames - 1) / request.fps * fps + 1e-6) + 1
 
 
@@ -177,10 +190,16 @@ def answer(
     fps: float,
     wanted: Wanted = Wanted(),
     pelvis: np.ndarray | None = None,
+    conditions: Conditioned | None = None,
 ) -> FramesResponse:
-    """Run ``engines`` on a valid request, resampled to their ``fps``; for weights the rest ``pelvis`` (3,) [m] too."""
+    """Run ``engines`` on a valid request, resampled to their ``fps``; for weights the rest ``pelvis`` (3,) [m] too.
+
+    conditions: its poses after conditioning, which takes the place of resampling.
+    """
     poses, transl = request.poses, request.transl
-    if request.fps != fps:
+    if conditions is not None:
+        poses, transl = conditions.poses, conditions.transl
+    elif request.fps != fps:
         resampled = PoseSequence(poses=poses, transl=transl, fps=request.fps, source="request").resample(fps)
         poses, transl = resampled.poses, resampled.transl
     poses, transl = (np.ascontiguousarray(array, np.float32) for array in (poses, transl))
@@ -190,9 +209,10 @@ def answer(
         if request.state.size:
             states[engine.name] = np.array(request.state[offset : offset + engine.state_size], np.float32)
         offset += engine.state_size
-    meshes, states = dress(engines, poses, transl, states, wanted, pelvis)
+    settle, report = ((), None) if conditions is None else (conditions.settle, conditions.report)
+    meshes, states = dress(engines, poses, transl, states, wanted, pelvis, settle)
     fields = meshes.normals, meshes.weights, meshes.joints
-    return FramesResponse(meshes.vertices, states, fps, request.fps, wanted.encoding, *fields)
+    return FramesResponse(meshes.vertices, states, fps, request.fps, wanted.encoding, *fields, report)
 
 
 def dress(
@@ -202,12 +222,14 @@ def dress(
     states: Mapping[str, np.ndarray],
     wanted: Wanted,
     pelvis: np.ndarray | None = None,
+    settle: Sequence[int] = (),
 ) -> tuple[Meshes, dict[str, np.ndarray]]:
-    """Meshes of poses (T, 55, 3) and transl (T, 3), float32 at the engines' rate, and the states after them."""
+    """Meshes of poses (T, 55, 3) and transl (T, 3), float32 at the engines' rate, and the states after them; the
+    garments begin anew at the frames ``settle``."""
     shown, after = {}, {}
     for engine in engines:
-        run = engine.blend if wanted.encoding is Encoding.WEIGHTS else engine.run
-        shown[engine.name], after[engine.name] = run(poses, transl, states[engine.name])
+        weights, state = wanted.encoding is Encoding.WEIGHTS, states[engine.name]
+        shown[engine.name], after[engine.name] = run_settling(engine, weights, poses, transl, state, settle)
         require_finite(engine.name, shown[engine.name], after[engine.name])
     return packed(engines, poses, transl, shown, wanted, pelvis), after
 
@@ -245,6 +267,8 @@ def json_answer(response: FramesResponse) -> bytes:
     """
     frames = len(next(iter(response.vertices.values())))
     head = {"fps": response.fps, "request_fps": response.request_fps, "frames": frames}
+    if response.conditioning is not None:
+        head["conditioning"] = response.conditioning
     garments = []
     for name, vertices in response.vertices.items():
         encoded = ",".join(json.dumps(np.round(frame.astype(np.float64), 5).tolist()) for frame in vertices)

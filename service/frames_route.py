@@ -10,6 +10,7 @@ from fastapi import FastAPI, Query, Request, Response
 from service import frames, protocol
 from service.answers import PartsResponse
 from service.avatar_routes import AvatarId, find_avatar
+from service.conditioned import OFF, body_of, conditioned, header, parse_settings, require_conditionable
 from service.encodings import EncodingName
 from service.engine import GarmentEngine
 from service.guard import hold_of
@@ -62,6 +63,7 @@ async def post_frames(
     garment: Annotated[list[str], Query(description="garments to answer; all where none is named")] = [],  # noqa: B006
     encoding: Annotated[EncodingName, Query(description="how binary answers pack the meshes")] = "float32",
     normals: Annotated[bool, Query(description="binary answers hold vertex normals too")] = False,
+    condition: Annotated[str, Query(description="condition noisy poses: on, off, or settings in JSON")] = OFF,
 ) -> Response:
     """Garment meshes for a pose sequence: JSON or binary (docs/protocol.md), like the request or as `Accept` asks."""
     settings: Settings = request.app.state.settings
@@ -76,6 +78,7 @@ async def post_frames(
     packing = frames.Wanted.of(encoding, normals)
     if wanted == JSON_MEDIA_TYPE and packing != frames.Wanted():
         raise Problem(422, f"encoding and normals are for binary answers; ask for {protocol.MEDIA_TYPE} by accept")
+    asked = parse_settings(condition, found.bundle.fps)
     body = await hold.read(request)
 
     def work() -> Response:
@@ -83,16 +86,19 @@ async def post_frames(
         with stages.time("parse"):
             parsed = frames.parse_json(body, engines) if sent == JSON_MEDIA_TYPE else protocol.decode_request(body)
             frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))
+            require_conditionable(parsed, asked, settings.max_frames)
             count = frames.answered_frames(parsed, found.bundle.fps)
             if wanted == JSON_MEDIA_TYPE:
                 require_few_frames(count, settings)
             hold.reserve(count * answer_bytes(engines, as_text=wanted == JSON_MEDIA_TYPE))
+            conditions = None if asked is None else conditioned(parsed, asked, body_of(found.bundle))
         with stages.time("infer"):
-            answered = frames.answer(parsed, engines, found.bundle.fps, packing, found.bundle.joints[0])
+            answered = frames.answer(parsed, engines, found.bundle.fps, packing, found.bundle.joints[0], conditions)
         with stages.time("encode"):
             parts = [frames.json_answer(answered)] if wanted == JSON_MEDIA_TYPE else protocol.encode_response(answered)
         metrics.frames.labels(found.id).inc(count)
-        return PartsResponse(parts, wanted, settings.send_seconds, {"server-timing": stages.server_timing})
+        told = {"server-timing": stages.server_timing, **header(answered.conditioning)}
+        return PartsResponse(parts, wanted, settings.send_seconds, told)
 
     return await hold.run(work)
 
