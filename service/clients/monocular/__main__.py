@@ -1,0 +1,189 @@
+"""``python -m service.clients.monocular``: from a video to the same video dressed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import caphy
+from caphy.conditioning import Conditioning
+from caphy.errors import CaphyError
+from caphy.io.bundle import AvatarBundle, read_bundle
+from caphy.io.poses import PoseSequence, write_poses
+from service.client import Client
+from service.clients.monocular.dressing import Dressing, open_wardrobe
+from service.clients.monocular.estimator import Estimator
+from service.clients.monocular.landmarks import MediapipeDetector, PeopleCounter
+from service.clients.monocular.overlay import Overlay
+from service.clients.monocular.run import Record, run
+from service.clients.monocular.video import Video
+
+BUNDLE = Path(caphy.__file__).parent / "data" / "avatars" / "default"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the client; returns the exit status: 0 where somebody was dressed, 1 otherwise."""
+    options = _options(arguments)
+    try:
+        return _run(options)
+    except CaphyError as error:
+        print(f"monocular: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m service.clients.monocular", description=__doc__)
+    parser.add_argument("video", help="a video file, or a camera's number such as 0")
+    parser.add_argument("-o", "--out", type=Path, help="the dressed video to write (.mp4)")
+    parser.add_argument("--service", default="http://127.0.0.1:8000", help="address of 'caphy serve'")
+    parser.add_argument("--key", help="API key, where the service wants one")
+    parser.add_argument("--bundle", type=Path, default=BUNDLE, help="the folder of the avatar that the service serves")
+    parser.add_argument("--focal", type=float, help="focal length [pixels]; the picture's diagonal where not given")
+    parser.add_argument("--latency", type=float, default=Conditioning().latency, help="of the conditioning [s]")
+    parser.add_argument("--poses", type=Path, help="also write the conditioned poses (.npz), for 'caphy poses'")
+    parser.add_argument("--record", type=Path, help="also write what every picture gave (.npz), for the benchmark")
+    parser.add_argument("--seconds", type=float, default=np.inf, help="stop after so much of the video")
+    return parser.parse_args(arguments)
+
+
+def _run(options: argparse.Namespace) -> int:
+    video = Video(options.video)
+    bundle = read_bundle(options.bundle)
+    avatar = _served(options.service, bundle)
+    focal = options.focal or float(np.hypot(*video.size))
+    if not 50 < focal < 1e5:
+        raise CaphyError(
+            f"--focal must be a focal length in pixels, such as {np.hypot(*video.size):.0f}, got {focal:g}"
+        )
+    detector, counter = MediapipeDetector(), PeopleCounter()
+    estimator = Estimator(bundle.joints, detector, focal, video.size)
+    settings = Conditioning(fps=bundle.fps, latency=options.latency)
+    wardrobe = open_wardrobe(options.service, avatar, bundle.fps, options.key)
+    writer, show = _writer(options.out, video)
+    overlay = Overlay(bundle, focal, video.size) if options.out else None
+    dressing = Dressing(wardrobe, settings)
+    try:
+        record = run(video, estimator, dressing, overlay, show, counter, options.seconds)
+    finally:
+        if writer is not None:
+            writer.release()
+        wardrobe.close()
+        detector.close()
+        counter.close()
+    return _finish(options, video, bundle, estimator, dressing, record, wardrobe.name)
+
+
+def _served(url: str, bundle: AvatarBundle) -> str:
+    """The id under which the service serves this bundle."""
+    offered = Client(url).avatars()
+    garments = {garment.name: len(garment.mesh.vertices) for garment in bundle.garments}
+    for avatar in offered:
+        if {garment["name"]: garment["vertices"] for garment in avatar["garments"]} == garments:
+            return avatar["id"]
+    raise CaphyError(
+        f"{url}: serves {', '.join(avatar['id'] for avatar in offered)}, none of which has the garments of "
+        f"{bundle.name!r}; give the folder of the avatar it serves with --bundle"
+    )
+
+
+def _writer(out: Path | None, video: Video) -> tuple[Any, Callable[[np.ndarray, float], None]]:
+    if out is None:
+        return None, lambda pixels, time: None
+    out.parent.mkdir(parents=True, exist_ok=True)
+    writer = cv2.VideoWriter(str(out), cv2.VideoWriter.fourcc(*"mp4v"), video.fps, video.size)
+    if not writer.isOpened():
+        raise CaphyError(f"{out}: opencv cannot write this; a name that ends in .mp4, in a folder that can be written")
+    written = 0
+
+    def show(pixels: np.ndarray, time: float) -> None:
+        nonlocal written
+        while written < round(time * video.fps) + 1:  # the file has one rate, the pictures may not
+            writer.write(pixels)
+            written += 1
+
+    return writer, show
+
+
+def _finish(
+    options: argparse.Namespace,
+    video: Video,
+    bundle: AvatarBundle,
+    estimator: Estimator,
+    dressing: Dressing,
+    record: Record,
+    how: str,
+) -> int:
+    """Write what was asked for, say what happened."""
+    counts = estimator.counts
+    for note in _notes(video, estimator, record):
+        print(f"note: {note}")
+    if counts["pictures"] == counts["nobody"] + counts["no body"]:
+        raise CaphyError(
+            f"{video.source}: nobody was found in {counts['pictures']} pictures; the person must be seen from head to "
+            "feet, and be at least a quarter of the picture's height"
+        )
+    frames = [dressed.frame for dressed in record.frames]
+    if options.poses:
+        poses, transl = np.stack([f.poses for f in frames]), np.stack([f.transl for f in frames])
+        write_poses(
+            PoseSequence(poses, transl, bundle.fps, source=video.source, pelvis=bundle.joints[0]), options.poses
+        )
+    if options.record:
+        _write_record(options.record, record)
+    did = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in dressing.conditioner.summary.frames.items())
+    print(
+        f"{counts['pictures']} pictures, {len(frames)} frames dressed over {how}"
+        f"{f' ({did})' if did else ''}; {counts['pictures'] / record.seconds:.1f} pictures a second, "
+        f"{1e3 * dressing.conditioner.settings.latency:.0f} ms of latency added"
+    )
+    if options.out:
+        print(f"written: {options.out}")
+    return 0
+
+
+def _notes(video: Video, estimator: Estimator, record: Record) -> list[str]:
+    counts = estimator.counts
+    notes = list(video.notes)
+    missed = counts["nobody"] + counts["no body"]
+    if 0 < missed < counts["pictures"]:
+        notes.append(f"nobody was found in {missed} of {counts['pictures']} pictures; the clothes hold, then rest")
+    if record.most_people > 1:
+        notes.append(f"there are {record.most_people} people; only one is followed, the one found first")
+    if counts["cuts"]:
+        notes.append(f"{counts['cuts']} cuts between scenes; each begins anew")
+    if counts["jumps"]:
+        notes.append(f"{counts['jumps']} times the person was found somewhere else at once; taken for somebody else")
+    if not estimator.gravity.by_lines:
+        notes.append(
+            "no vertical lines were found; up is how the person stands in the mean, which may be off by 10 deg"
+        )
+    return notes
+
+
+def _write_record(path: Path, record: Record) -> None:
+    """Times, poses (NaN where nobody was seen), the camera's turns, and frames, as plain arrays."""
+    estimates, frames = record.estimates, [dressed.frame for dressed in record.frames]
+    nobody = np.full((55, 3), np.nan)
+    np.savez(
+        path,
+        time=np.array([e.time for e in estimates]),
+        poses=np.stack([nobody if e.poses is None else e.poses for e in estimates]),
+        transl=np.stack([nobody[0] if e.transl is None else e.transl for e in estimates]),
+        turn=np.stack([e.turn for e in estimates]),
+        frame_time=np.array([f.time for f in frames]),
+        frame_poses=np.stack([f.poses for f in frames]),
+        frame_transl=np.stack([f.transl for f in frames]),
+        seconds=record.seconds,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

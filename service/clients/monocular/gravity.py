@@ -1,0 +1,116 @@
+"""Which way is up in the camera: from the straight vertical lines of rooms and streets, else from how people stand."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+TOLERANCE: Final = np.radians(1.5)
+"""A line counts as vertical within this [rad]."""
+LEAN: Final = np.radians(40.0)
+"""No camera is taken to be held further from level than this [rad]."""
+AGREE: Final = np.radians(20.0)
+"""Lines that say otherwise than the standing person by more are not of a building [rad]."""
+LEAST_LINES: Final = 6
+_SHORTEST = 0.05
+
+
+def up_from_lines(pixels: np.ndarray, focal: float, guess: np.ndarray) -> np.ndarray | None:
+    """Direction (3,) of up in the camera (right, down, ahead) from vertical lines of a picture (H, W, 3), or none.
+
+    Every line's plane through the eye holds the vertical; the direction that most of their length agrees on within
+    1.5 degrees wins (RANSAC over all pairs of the longest), then least squares over those that agree.
+
+    Args:
+        focal: [pixels].
+        guess: (3,) up as known so far; lines more than 40 degrees off it on the picture are not asked.
+    """
+    normals, lengths = _planes(pixels, focal, guess)
+    if len(normals) < LEAST_LINES:
+        return None
+    best, weight = guess, 0.0
+    for i in range(min(len(normals), 24)):
+        for j in range(i):
+            candidate = np.cross(normals[i], normals[j])
+            size = np.linalg.norm(candidate)
+            if size < 0.02:
+                continue
+            candidate = candidate / size * np.sign(candidate @ guess or 1.0)
+            agrees = abs(normals @ candidate) < np.sin(TOLERANCE)
+            if candidate @ guess > np.cos(LEAN) and lengths[agrees].sum() > weight:
+                best, weight = candidate, float(lengths[agrees].sum())
+    agrees = abs(normals @ best) < np.sin(TOLERANCE)
+    if agrees.sum() < LEAST_LINES or weight < 0.4 * lengths.sum():
+        return None
+    _, axes = np.linalg.eigh((normals[agrees] * lengths[agrees, None]).T @ normals[agrees])
+    return axes[:, 0] * np.sign(axes[:, 0] @ guess)
+
+
+def _planes(pixels: np.ndarray, focal: float, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (N, 3) of the planes through eye and line, longest first, and lengths (N,) [of the picture's height]."""
+    height, width = pixels.shape[:2]
+    shrink = min(1.0, 720 / max(height, width))
+    grey = cv2.cvtColor(cv2.resize(pixels, None, fx=shrink, fy=shrink), cv2.COLOR_BGR2GRAY)
+    found = cv2.createLineSegmentDetector().detect(grey)[0]
+    if found is None:
+        return np.zeros((0, 3)), np.zeros(0)
+    ends = (found.reshape(-1, 2, 2) / shrink - [width / 2, height / 2]) / focal
+    along = ends[:, 1] - ends[:, 0]
+    lengths = np.linalg.norm(along, axis=1) * focal / height
+    middle = np.concatenate([ends.mean(axis=1), np.ones((len(ends), 1))], axis=1)
+    expected = guess[:2] - middle[:, :2] * guess[2]  # how the vertical through this point looks there
+    cosine = abs(np.einsum("ni,ni->n", along, expected)) / (
+        np.linalg.norm(along, axis=1) * np.linalg.norm(expected, axis=1) + 1e-12
+    )
+    chosen = np.flatnonzero((lengths > _SHORTEST) & (cosine > np.cos(np.radians(25))))
+    chosen = chosen[np.argsort(-lengths[chosen], kind="stable")][:200]
+    rays = np.concatenate([ends[chosen], np.ones((len(chosen), 2, 1))], axis=2)
+    normals = np.cross(rays[:, 0], rays[:, 1])
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True), lengths[chosen]
+
+
+class Gravity:
+    """Keeps the camera's turn against the world: up by lines, looked for now and then, or by the mean person.
+
+    The heading is the camera's: the world's z axis points from the scene to the camera.
+    """
+
+    def __init__(self, focal: float, every: float = 2.0) -> None:
+        self._focal, self._every = focal, every
+        self.by_lines = False
+        self.forget()
+
+    def forget(self) -> None:
+        """The camera may have moved, as after a cut."""
+        self._up = np.array([0.0, -1.0, 0.0])
+        self._people, self._weight, self._next = np.zeros(3), 0.0, -np.inf
+        self.by_lines = False
+
+    def see(self, time: float, pixels: np.ndarray, body_up: np.ndarray | None, weight: float = 1.0) -> None:
+        """A picture (H, W, 3) at ``time`` [s], and the way (3,) up along the body in it where somebody stands."""
+        if body_up is not None:
+            self._people += weight * body_up / np.linalg.norm(body_up)
+            self._weight += weight
+        if time >= self._next:
+            self._next = time + self._every
+            self._look(pixels)
+        if not self.by_lines and self._weight > 5:
+            self._up = self._people / np.linalg.norm(self._people)
+
+    def _look(self, pixels: np.ndarray) -> None:
+        known = self._weight > 5
+        guess = self._people / np.linalg.norm(self._people) if known else self._up
+        up = up_from_lines(pixels, self._focal, guess)
+        if up is not None and (not known or up @ guess > np.cos(AGREE)):
+            if not self.by_lines or up @ self._up < np.cos(np.radians(1.0)):  # a turn of less is noise
+                self._up = up
+            self.by_lines = True
+
+    @property
+    def turn(self) -> np.ndarray:
+        """Rotation (3, 3) from the camera's axes (right, down, ahead) to the world's (y up)."""
+        back = np.array([0.0, 0.0, -1.0]) + self._up * self._up[2]
+        back /= np.linalg.norm(back)
+        return np.stack([np.cross(self._up, back), self._up, back])

@@ -1,0 +1,110 @@
+"""Pictures with time stamps, from a file or a camera."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from caphy.errors import CaphyError
+
+_OFTEN = 1 / 240
+"""Time stamps closer than this are not believed [s]."""
+_LONG = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """time: [s] since the first. pixels: (H, W, 3) uint8 BGR, upright."""
+
+    time: float
+    pixels: np.ndarray
+
+
+class Video:
+    """A video file, or a camera by its number.
+
+    Pictures come upright (the rotation that phones store is applied) and with the times the file states, so a frame
+    rate that varies is no matter. ``notes`` says what was odd, in words.
+
+    Raises CaphyError where nothing can be read at all.
+    """
+
+    def __init__(self, source: str | Path) -> None:
+        self.source = str(source)
+        self.is_camera = self.source.isdigit()
+        if not self.is_camera and not Path(self.source).is_file():
+            raise CaphyError(f"{self.source}: there is no such video; give a file, or a camera's number such as 0")
+        self._capture = cv2.VideoCapture(int(self.source)) if self.is_camera else cv2.VideoCapture(self.source)
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+        self.notes: list[str] = []
+        first = self._read() if self._capture.isOpened() else None
+        if first is None:
+            what = "this camera gives no picture" if self.is_camera else "opencv finds no picture in this file"
+            raise CaphyError(f"{self.source}: {what}; is it a video, and whole? ffmpeg -i shows what is in it")
+        self._first: np.ndarray | None = first
+        self.size = first.shape[1], first.shape[0]
+        fps = self._capture.get(cv2.CAP_PROP_FPS)
+        self.fps = float(fps) if 1 <= fps <= 240 else 30.0
+        if self.fps != fps and not self.is_camera:
+            self.notes.append(f"the file states no sensible frame rate ({fps:g}); 30 is taken where times are missing")
+        self._stated = 0 if self.is_camera else int(max(0.0, self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self.read = 0
+
+    def __iter__(self) -> Iterator[Picture]:
+        """Every picture that can be read, times rising."""
+        started, last, repaired = time.monotonic(), -np.inf, 0
+        pixels, self._first = self._first, None
+        while pixels is not None:
+            stamp = self._stamp(started)
+            if not last + _OFTEN < stamp < last + _LONG and self.read:
+                stamp, repaired = last + 1 / self.fps, repaired + (not self.is_camera)
+            last = stamp
+            self.read += 1
+            yield Picture(stamp if np.isfinite(stamp) else 0.0, pixels)
+            pixels = self._read()
+        self._capture.release()
+        if repaired:
+            self.notes.append(f"{repaired} time stamps are missing or do not rise; 1/{self.fps:g} s was taken for each")
+        if self.read < self._stated - 1:
+            self.notes.append(
+                f"the file states {self._stated} pictures and breaks off after {self.read} ({last:.2f} s); "
+                "all before that was used"
+            )
+
+    def _stamp(self, started: float) -> float:
+        if self.is_camera:
+            return time.monotonic() - started
+        return self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+
+    def _read(self) -> np.ndarray | None:
+        try:
+            found, pixels = self._capture.read()
+        except cv2.error:
+            return None
+        return pixels if found and pixels is not None and pixels.ndim == 3 else None
+
+
+class Cuts:
+    """Notices that a picture shows another scene than the one before."""
+
+    def __init__(self) -> None:
+        self._last: np.ndarray | None = None
+        self._usual = 4.0
+
+    def between(self, pixels: np.ndarray) -> bool:
+        """Whether there was a cut just before this picture (H, W, 3)."""
+        small = cv2.resize(pixels, (48, 32), interpolation=cv2.INTER_AREA).astype(np.float32)
+        small = cv2.GaussianBlur(small, (0, 0), 1.5)
+        last, self._last = self._last, small
+        if last is None or last.shape != small.shape:
+            return False
+        change = float(np.abs(small - last).mean())
+        is_cut = change > 18 and change > 6 * self._usual
+        if not is_cut:
+            self._usual += 0.1 * (max(change, 1.0) - self._usual)
+        return is_cut
