@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -121,6 +121,6 @@ def runs(frames: Sequence[Frame]) -> list[list[int]]:
     return found[:MOST_RUNS]
 
 
-def header(report: dict[str, Any] | None) -> dict[str, str]:
+def header(report: Mapping[str, Any] | None) -> dict[str, str]:
     """The header that says what was done to the poses of an answer."""
     return {HEADER: OFF if report is None else json.dumps(report, separators=(",", ":"))}

@@ -85,8 +85,8 @@ async def post_frames(
         stages = Stages(metrics.stage_seconds)
         with stages.time("parse"):
             parsed = frames.parse_json(body, engines) if sent == JSON_MEDIA_TYPE else protocol.decode_request(body)
-            frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))
             require_conditionable(parsed, asked, settings.max_frames)
+            frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))
             count = frames.answered_frames(parsed, found.bundle.fps)
             if wanted == JSON_MEDIA_TYPE:
                 require_few_frames(count, settings)

@@ -33,8 +33,8 @@ def run_settling(
     shown = []
     for start, end in zip(starts, [*starts[1:], len(poses)], strict=True):
         if start in settle:
-            held = [np.repeat(array[start : start + 1], SETTLE, axis=0) for array in (poses, transl)]
-            state = run(*held, engine.initial_state())[1]
+            pose, place = (np.repeat(array[start : start + 1], SETTLE, axis=0) for array in (poses, transl))
+            state = run(pose, place, engine.initial_state())[1]
         part, state = run(poses[start:end], transl[start:end], state)
         shown.append(part)
     return (shown[0] if len(shown) == 1 else np.concatenate(shown)), state

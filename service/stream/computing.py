@@ -13,6 +13,7 @@ from service.encodings import Encoding, Meshes
 from service.engine import GarmentEngine
 from service.metrics import Stages
 from service.problem import Problem
+from service.settling import run_settling
 from service.stream.session import Job, Session
 
 Answer = bytes | Exception | None
@@ -44,7 +45,8 @@ class Work:
             self.set(engine, _nothing(engine, self.weights), state)
             return
         try:
-            self.set(engine, *(engine.blend if self.weights else engine.run)(self.job.poses, self.job.transl, state))
+            job = self.job
+            self.set(engine, *run_settling(engine, self.weights, job.poses, job.transl, state, job.settle))
         except Exception as error:  # one stream's end, not the others'
             self.failure = error
 
@@ -86,8 +88,8 @@ def compute(jobs: Sequence[tuple[Session, Job]], stages: Stages) -> list[Answer]
 
 
 def _run(engine: GarmentEngine, weights: bool, works: list[Work]) -> None:
-    joined = [work for work in works if len(work.job.poses) == 1]
-    alone = [work for work in works if len(work.job.poses) != 1]
+    joined = [work for work in works if len(work.job.poses) == 1 and not work.job.settle]
+    alone = [work for work in works if work not in joined]
     if len(joined) < 2 or not _run_together(engine, weights, joined):
         alone = works
     for work in alone:
