@@ -15,6 +15,8 @@ COMMANDS = {
     "effects": "list and show the physical effects",
     "simulate": "drape or move a garment with the reference solver",
     "capture-sim": "scan a simulated person, with the truth kept aside",
+    "scans": "check, picture and convert sets of scans",
+    "segment": "tell skin, upper and lower garment apart on scans",
     "train": "train a garment network with physics losses",
     "validate": "hold a trained network against the reference solver",
     "compare": "compare a model with measurements: metrics, and a page to look at",

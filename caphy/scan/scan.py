@@ -41,11 +41,13 @@ class Scan:
     """Translation (3,) [m] that goes with ``pose``."""
     source: str = ""
     """The file it came from."""
+    pelvis: np.ndarray | None = None
+    """Where the initial pose has the pelvis joint (3,) [m]: unlike ``transl`` the same for any body."""
 
     def __post_init__(self) -> None:
         count = len(self.vertices)
         shapes = {"vertices": (count, 3), "faces": (len(self.faces), 3), "colours": (count, 3), "labels": (count,)}
-        shapes |= {"pose": (JOINT_COUNT, 3), "transl": (3,)}
+        shapes |= {"pose": (JOINT_COUNT, 3), "transl": (3,), "pelvis": (3,)}
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
@@ -60,7 +62,7 @@ class Scan:
             )
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < count:
             raise self.error(f"faces must index {count} vertices, got {self.faces.min()} to {self.faces.max()}")
-        for name in ("pose", "transl"):
+        for name in ("pose", "transl", "pelvis"):
             value = getattr(self, name)
             if value is not None and not np.isfinite(value).all():
                 raise self.error(f"the initial {name} must be finite; leave the poses out if they are not known")

@@ -98,6 +98,7 @@ class ScanSet:
             pose=None if self.poses is None else self.poses.poses[index],
             transl=None if self.poses is None else self.poses.transl[index],
             source=str(path),
+            pelvis=None if self.poses is None else self.poses.transl[index] + self.poses.pelvis,
         )
 
     def _labels(self, path: Path, mesh: MeshFile) -> np.ndarray | None:

@@ -1,0 +1,121 @@
+"""``caphy segment SCANS``: which vertices are skin, upper and lower garment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.scan.scan import Scan
+    from caphy.scan.scan_set import ScanSet
+
+LEARNED_FROM = 10
+"""Scans that the colour model is learned from, spread over the set."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Label the vertices of scans as body, upper or lower garment. Resumes: scans that have labels are passed over."""
+
+    scans: Annotated[Path, tyro.conf.Positional]
+    """Folder with a scans.toml."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=("-o",))] = None
+    """Folder for the labels, one NAME.npy per scan; SCANS/labels unless given, where they are found by themselves."""
+    parser: str = "colour"
+    """colour: a colour model learned from the set; labels: what comes with the scans, smoothed; else an ONNX file."""
+    layout: str = "schp-atr"
+    """What the ONNX file's classes are: schp-lip, schp-atr, segformer-clothes, sapiens, or a JSON file."""
+    render: Path | None = None
+    """A contact sheet (PNG) of the first scans and their labels."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run ``caphy segment`` with the arguments after it."""
+    from caphy.scan.scan_set import ScanSet
+
+    command = tyro.cli(Segment, args=arguments, prog="caphy segment")
+    scans = ScanSet.read(command.scans)
+    out = command.out or command.scans / "labels"
+    method = _method(command, scans)
+    failed = _segment_all(scans, out, method)
+    done = len(scans) - len(failed)
+    print(f"{out}: labels of {done} of {len(scans)} scans")
+    if command.render is not None and done:
+        print(_sheet(command.render, ScanSet.read(command.scans, out), set(failed)))
+    if not done:
+        raise CaphyError(f"{command.scans}: no scan could be segmented; see the messages above")
+    return 0 if not failed else 1
+
+
+def _segment_all(scans: ScanSet, out: Path, method: Callable[[Scan], np.ndarray]) -> list[str]:
+    """Label every scan that has no labels yet; the names of those that failed."""
+    from caphy.scan.scan_set import write_labels
+
+    failed, started, fresh = [], monotonic(), 0
+    for index, name in enumerate(scans.names):
+        path = out / f"{name}.npy"
+        if path.is_file():
+            continue
+        try:
+            write_labels(path, method(scans[index]))
+        except CaphyError as error:
+            print(f"left out {name}: {error}", flush=True)
+            failed.append(name)
+            continue
+        fresh += 1
+        left = (monotonic() - started) / fresh * (len(scans) - index - 1)
+        print(f"{name}: {index + 1} of {len(scans)}; about {left / 60:.1f} min left", flush=True)
+    return failed
+
+
+def _method(command: Segment, scans: ScanSet) -> Callable[[Scan], np.ndarray]:
+    """What labels a scan's vertices (V,)."""
+    from caphy.scan.segmentation import given_labels, segment, smoothed_labels
+
+    if command.parser == "labels":
+        return given_labels
+    if command.parser == "colour":
+        from caphy.scan.colour_model import ColourModel
+
+        print("learning the subject's colours ...", flush=True)
+        model = ColourModel.fit(_some(scans))
+        return lambda scan: smoothed_labels(scan, model.votes(scan))
+    from caphy.scan.label_layouts import find_layout
+    from caphy.scan.parsers import OnnxParser
+
+    parser = OnnxParser(Path(command.parser), find_layout(command.layout))
+    return lambda scan: segment(scan, parser)
+
+
+def _some(scans: ScanSet) -> list[Scan]:
+    """Scans to learn from; those that cannot be read are told of later."""
+    found, problem = [], None
+    for index in np.unique(np.linspace(0, len(scans) - 1, LEARNED_FROM).round().astype(int)):
+        try:
+            scan = scans[int(index)]
+            if scan.colours is not None:
+                found.append(scan)
+        except CaphyError as error:
+            problem = error
+    if not found:
+        raise problem or CaphyError(
+            f"{scans.folder}: the scans have no colours to learn from; use --parser labels, or an ONNX human parser"
+        )
+    return found
+
+
+def _sheet(path: Path, scans: ScanSet, failed: set[str], count: int = 4) -> Path:
+    from caphy.report.render import contact_sheet, write_png
+    from caphy.scan.pictures import scan_pictures
+
+    shown = [i for i, name in enumerate(scans.names) if name not in failed][:count]
+    images = [image for i in shown for image in scan_pictures(scans[i])]
+    return write_png(contact_sheet(images, 4, [scans.names[i] for i in shown for _ in range(4)]), path)
