@@ -122,6 +122,27 @@ def test_any_chunks_give_the_same_stream():
     np.testing.assert_allclose(state, end, atol=1e-4)
 
 
+def test_streams_in_one_run_are_each_stream_alone():
+    """Rows of all streams' first frames, then their second ones; some go on, others begin."""
+    network = random_network(shell("tshirt"))
+    session = single_thread_session(garment_graph(network, full_head(network), "tshirt").SerializeToString())
+    streams, frames, before = 3, 4, 5
+    inputs = [random_poses(before + frames, seed) for seed in range(streams)]
+    zero, states, expected = np.zeros(network.state_size, np.float32), [], []
+    for i, (poses, transl) in enumerate(inputs):
+        first = {"poses": poses[:before], "transl": transl[:before], "state": zero}
+        states.append(session.run(["next_state"], first)[0] if i != 1 else zero)
+        rest = {"poses": poses[before:], "transl": transl[before:], "state": states[-1]}
+        expected.append(session.run(None, rest))
+    poses, transl = (np.stack([pair[k][before:] for pair in inputs], axis=1) for k in (0, 1))
+    joined = {"poses": poses.reshape(-1, 55, 3), "transl": transl.reshape(-1, 3), "state": np.concatenate(states)}
+    vertices, after = session.run(None, joined)
+    vertices = vertices.reshape(frames, streams, -1, 3)
+    for i, (alone, state) in enumerate(expected):
+        np.testing.assert_allclose(vertices[:, i], alone, atol=2e-6)
+        np.testing.assert_allclose(after.reshape(streams, -1)[i], state, atol=1e-5)
+
+
 def test_quaternion_products_make_rotations():
     rng = np.random.default_rng(0)
     for axis_angle in rng.normal(size=(20, 3)):
