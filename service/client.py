@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
 
 import numpy as np
 
+from caphy.conditioning import as_seen
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
+from service.conditioned import HEADER, OFF
 from service.encodings import EncodingName
 from service.protocol import MEDIA_TYPE, FramesRequest, FramesResponse, decode_response, encode_request
 
@@ -33,6 +36,7 @@ class Client:
         kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
         self._connection = kind(parts.hostname, parts.port, timeout=timeout)
         self._url = url
+        self._told = ""
         self.server_timing: dict[str, float] = {}
         """Milliseconds the service spent on the last :meth:`run`: parse, infer, encode."""
 
@@ -56,24 +60,31 @@ class Client:
         states: Mapping[str, np.ndarray] | None = None,
         encoding: EncodingName = "float32",
         normals: bool = False,
+        condition: Mapping[str, Any] | None = None,
     ) -> FramesResponse:
         """As :meth:`frames`, with the states after the last frame; give them to continue a motion.
 
-        ``encoding`` and ``normals`` choose what travels, see docs/protocol.md.
+        ``encoding`` and ``normals`` choose what travels, see docs/protocol.md. ``condition``: settings of conditioning
+        as in docs/conditioning.md, {} for its defaults; the answer's ``conditioning`` then says what was done.
         """
-        if sequence.frame == "camera":
+        if condition is not None:
+            sequence, condition = as_seen(sequence), {"frame": sequence.frame, **condition}
+        elif sequence.frame == "camera":
             raise CaphyError(
                 f"{sequence.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; "
-                "convert them to world coordinates first"
+                "convert them to world coordinates first ('caphy poses condition'), or ask for conditioning"
             )
-        sequence = sequence.to_y_up()
+        else:
+            sequence = sequence.to_y_up()
         state = np.concatenate(list(states.values())) if states else np.zeros(0, np.float32)
         body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, state))
         chosen = [("garment", name) for name in garments]
         chosen += [("encoding", encoding)] * (encoding != "float32") + [("normals", "true")] * normals
+        chosen += [] if condition is None else [("condition", json.dumps(condition))]
         query = urlencode(chosen)
         path = f"/avatars/{quote(avatar, safe='')}/frames" + (f"?{query}" if query else "")
-        return decode_response(self._ask("POST", path, body))
+        answered = decode_response(self._ask("POST", path, body))
+        return replace(answered, conditioning=None if self._told in ("", OFF) else json.loads(self._told))
 
     def close(self) -> None:
         """Close the connection."""
@@ -91,6 +102,7 @@ class Client:
         if response.status != 200:
             raise CaphyError(f"{self._url}{path}: {_detail(content)} (HTTP {response.status})")
         self.server_timing = _timing(response.getheader("server-timing") or "")
+        self._told = response.getheader(HEADER) or ""
         return content
 
 

@@ -1,4 +1,4 @@
-"""``caphy poses info|convert|render``."""
+"""``caphy poses info|convert|condition|render``."""
 
 from __future__ import annotations
 
@@ -56,6 +56,29 @@ class Convert:
 
 
 @dataclass(frozen=True)
+class Condition:
+    """Make estimated poses calm: smoothed, without jumps and gaps, on the ground (docs/conditioning.md)."""
+
+    files: Files
+    """Pose files of any format caphy reads, such as results of GVHMR, WHAM or SMPLer-X."""
+    source: tyro.conf.OmitArgPrefixes[Source]
+    out: Path = Path("conditioned")
+    """Folder to write NAME.npz into, y up."""
+    rate: float = 30.0
+    """Frame rate to write [Hz]: the avatar's."""
+    cutoff: float = 3.0
+    """Motion faster than this is taken for noise [Hz]."""
+    latency: float = 0.06
+    """How far ahead the filter looks [s]; a stream would be this much later."""
+    feet: bool = False
+    """Let the feet carry the body, where the file's translation is not worth using."""
+    floor: bool = True
+    """Put the ground at y = 0 by the body's own soles."""
+    estimate_scale: bool = False
+    """Let the feet's steps tell the size of the file's translation."""
+
+
+@dataclass(frozen=True)
 class Render:
     """Picture motions on the bundled body as a contact sheet."""
 
@@ -78,6 +101,7 @@ def main(arguments: list[str]) -> None:
         tyro.conf.OmitSubcommandPrefixes[
             Annotated[Info, tyro.conf.subcommand("info")]
             | Annotated[Convert, tyro.conf.subcommand("convert")]
+            | Annotated[Condition, tyro.conf.subcommand("condition")]
             | Annotated[Render, tyro.conf.subcommand("render")]
         ],
         args=arguments,
@@ -85,7 +109,7 @@ def main(arguments: list[str]) -> None:
     )
     if not command.files:
         raise CaphyError("name at least one pose file")
-    {Info: _info, Convert: _convert, Render: _render}[type(command)](command)
+    {Info: _info, Convert: _convert, Condition: _condition, Render: _render}[type(command)](command)
 
 
 def _info(command: Info) -> None:
@@ -118,14 +142,44 @@ def _row(path: Path, sequence: PoseSequence, jumps: int) -> tuple[str, ...]:
     return path.name, *counts, frame, sequence.model, *speeds, str(jumps)
 
 
-def _convert(command: Convert) -> None:
+def _targets(command: Convert | Condition) -> list[tuple[Path, Path]]:
+    """Each file, and where its new form goes; makes the folder."""
     targets = [command.out / f"{path.stem}.npz" for path in command.files]
     if len(set(targets)) != len(targets):
         raise CaphyError("two files have the same name; convert them into different folders with --out")
     command.out.mkdir(parents=True, exist_ok=True)
-    for path, target in zip(command.files, targets, strict=True):
-        if target.exists() and target.samefile(path):
+    pairs = list(zip(command.files, targets, strict=True))
+    for path, target in pairs:
+        if target.exists() and path.exists() and target.samefile(path):
             raise CaphyError(f"{path}: would be overwritten by its conversion; choose another folder with --out")
+    return pairs
+
+
+def _condition(command: Condition) -> None:
+    from caphy.conditioning import Conditioner, Conditioning, condition_sequence
+
+    for path, target in _targets(command):
+        sequence = command.source.read(path)
+        settings = Conditioning(
+            fps=command.rate,
+            latency=command.latency,
+            cutoff=command.cutoff,
+            frame=sequence.frame,
+            translation="feet" if command.feet else "given",
+            floor=command.floor,
+            scale=None if command.estimate_scale else 1.0,
+        )
+        conditioner = Conditioner(settings)
+        made = condition_sequence(sequence, conditioner)
+        write_poses(made, target)
+        print(f"{target}: {len(made)} frames at {made.fps:g} fps")
+        for name, counts in (("frames", conditioner.summary.frames), ("not used", conditioner.summary.refused)):
+            print(f"  {name}: {', '.join(f'{key} {count}' for key, count in sorted(counts.items())) or 'none'}")
+        print(f"  world: {', '.join(f'{key} {value}' for key, value in conditioner.world().items())}")
+
+
+def _convert(command: Convert) -> None:
+    for path, target in _targets(command):
         sequence = command.source.read(path)
         sequence = sequence if command.resample is None else sequence.resample(command.resample)
         write_poses(sequence.to_z_up() if command.z_up else sequence, target)

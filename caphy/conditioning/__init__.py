@@ -2,8 +2,18 @@
 
 from caphy.conditioning.body import Body
 from caphy.conditioning.conditioner import Conditioner
-from caphy.conditioning.files import as_sequence, condition
+from caphy.conditioning.files import as_seen, condition, condition_sequence
 from caphy.conditioning.frame import Did, Frame, Summary
 from caphy.conditioning.settings import Conditioning
 
-__all__ = ["Body", "Conditioner", "Conditioning", "Did", "Frame", "Summary", "as_sequence", "condition"]
+__all__ = [
+    "Body",
+    "Conditioner",
+    "Conditioning",
+    "Did",
+    "Frame",
+    "Summary",
+    "as_seen",
+    "condition",
+    "condition_sequence",
+]

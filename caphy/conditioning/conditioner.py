@@ -46,7 +46,7 @@ class Conditioner:
         it is left out [s]: nobody waits for frames of a body at rest."""
         self.settings = settings or Conditioning()
         self.summary = Summary()
-        self._body = body or bundled_body()
+        self.body = body or bundled_body()
         self._longest = longest
         self._standing = standing_pose()
         self._start()
@@ -101,10 +101,10 @@ class Conditioner:
         self._turn_offsets = Offsets(JOINT_COUNT, TURN_SPEED)
         self._path_offsets = Offsets(1, WALK_SPEED)
         self._did, self._notes = Did.NOTHING, []
-        self._upright = Upright(self._body)
+        self._upright = Upright(self.body)
         if self.settings.up is not None:
             self._upright.tell(np.array(self.settings.up))
-        self._ground = Ground(self._body, self.settings)
+        self._ground = Ground(self.body, self.settings)
         self._jumped = False
 
     def world(self) -> dict[str, Any]:
@@ -155,7 +155,7 @@ class Conditioner:
     ) -> tuple[np.ndarray, np.ndarray | None]:
         rotation = self._upright.rotation() if camera is None else camera
         place = np.zeros(3) if transl is None else transl
-        root, place = turned_root(rotation, turns[0], place, self._body.joints[0])
+        root, place = turned_root(rotation, turns[0], place, self.body.joints[0])
         return np.concatenate([root[None], turns[1:]]), None if transl is None else place
 
     def _strange(self, turns: np.ndarray, trust: np.ndarray) -> np.ndarray | None:
@@ -226,7 +226,7 @@ class Conditioner:
         relaxed = rotated(turns, share[:, None] * between(turns, goal))
         if not share[0]:
             return relaxed, place
-        rise = bearing(self._body.soles(turns))[1] - bearing(self._body.soles(relaxed))[1]
+        rise = bearing(self.body.soles(turns))[1] - bearing(self.body.soles(relaxed))[1]
         return relaxed, place + np.array([0.0, rise, 0.0])
 
     def _approached(

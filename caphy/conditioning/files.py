@@ -9,6 +9,7 @@ import numpy as np
 from caphy.conditioning.conditioner import Conditioner
 from caphy.conditioning.frame import Frame
 from caphy.errors import CaphyError
+from caphy.io.poses.camera import OPENCV_TO_Y_UP
 from caphy.io.poses.sequence import PoseSequence
 
 
@@ -31,16 +32,38 @@ def condition(
     return frames + conditioner.flush()
 
 
-def as_sequence(frames: list[Frame], like: PoseSequence, fps: float) -> PoseSequence:
-    """The frames as a motion in the world, with what was done among its notes."""
+def as_seen(sequence: PoseSequence) -> PoseSequence:
+    """The motion in the axes that conditioning takes: y up, or of ``frame`` "camera" the camera's own.
+
+    Readers turn a camera's view as if the camera were level, see :mod:`caphy.io.poses.camera`.
+    """
+    sequence = sequence.to_y_up()
+    return sequence.turned(OPENCV_TO_Y_UP.T) if sequence.frame == "camera" else sequence
+
+
+def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> PoseSequence:
+    """The motion, conditioned; in a world with y up. ``conditioner.settings.frame`` must be that of the sequence.
+
+    Raises :class:`CaphyError` where it is not, or where no frame comes out.
+    """
+    wanted = conditioner.settings.frame
+    if wanted != sequence.frame:
+        raise CaphyError(f"{sequence.source}: is in {sequence.frame} axes, conditioning was set up for {wanted}")
+    seen, pelvis = as_seen(sequence), conditioner.body.joints[0]
+    transl = seen.transl + seen.pelvis - pelvis  # of the same pelvis on the avatar's body
+    frames = condition(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, transl)
     if not frames:
-        raise CaphyError(f"{like.source}: nobody was seen in it, so there is no motion")
+        raise CaphyError(f"{sequence.source}: nobody was seen in it, so there is no motion")
     notes = tuple(dict.fromkeys(note for frame in frames for note in frame.notes))
+    more = (f"and {len(notes) - 10} more such notes",) if len(notes) > 10 else ()
+    said = tuple(f"conditioning: {note}" for note in (*notes[:10], *more))
     return replace(
-        like,
+        sequence,
         poses=np.stack([frame.poses for frame in frames]),
         transl=np.stack([frame.transl for frame in frames]),
-        fps=fps,
+        fps=conditioner.settings.fps,
+        up_axis="y",
         frame="world",
-        notes=(*like.notes, *notes[:20]),
+        pelvis=pelvis,
+        notes=(*sequence.notes, *said),
     )

@@ -7,9 +7,12 @@ with StreamClient("http://127.0.0.1:8000", "default", encoding="uint16") as stre
 
 from __future__ import annotations
 
+import json
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 from urllib.parse import quote, urlsplit, urlunsplit
 
 import numpy as np
@@ -27,6 +30,7 @@ from service.stream.messages import (
     Poses,
     Rate,
     Reset,
+    Seen,
     ServerDecoder,
     ServerMessage,
     State,
@@ -71,10 +75,14 @@ class StreamClient:
         state: np.ndarray | None = None,
         key: str | None = None,
         patience: float = 10.0,
+        conditioning: Mapping[str, Any] | None = None,
     ) -> None:
+        """``conditioning``: settings as in docs/conditioning.md; {} for its defaults, none for no conditioning."""
         self._address = _address(url, avatar)
         self._headers = {"authorization": f"Bearer {key}"} if key else None
         self._hello = Hello(tuple(garments), fps, Encoding[encoding.upper()], normals, credits)
+        if conditioning is not None:
+            self._hello = replace(self._hello, conditioning=json.dumps(dict(conditioning)))
         self._state = np.zeros(0, np.float32) if state is None else np.asarray(state, np.float32)
         self._fps, self._patience = fps, patience
         self._number = self._received = self._settled = 0
@@ -92,8 +100,18 @@ class StreamClient:
         """Garments, the avatar's frame rate, and limits."""
         return self._welcome
 
-    def send(self, poses: np.ndarray, transl: np.ndarray) -> int:
-        """Send poses (55, 3) or (T, 55, 3) [rad] and transl (3,) or (T, 3) [m]; returns the last one's number."""
+    def send(
+        self,
+        poses: np.ndarray,
+        transl: np.ndarray,
+        times: np.ndarray | float | None = None,
+        confidence: np.ndarray | float = 1.0,
+    ) -> int:
+        """Send poses (55, 3) or (T, 55, 3) [rad] and transl (3,) or (T, 3) [m]; returns the last one's number.
+
+        On a conditioned stream ``times`` (T,) [s] are when they were seen, and ``confidence`` how surely, of all or of
+        each joint (T, 55): 0 where nobody was seen, whatever the pose holds.
+        """
         poses, transl = (np.array(array, np.float32) for array in (poses, transl))
         poses, transl = poses.reshape(-1, *poses.shape[-2:]), transl.reshape(-1, 3)
         if poses.shape[1:] != (55, 3) or len(transl) != len(poses):
@@ -101,6 +119,12 @@ class StreamClient:
                 f"poses must have shape (frames, 55, 3), transl (frames, 3), got {poses.shape}, {transl.shape}"
             )
         message = Poses(self._number + 1, time.monotonic(), poses, transl)
+        if times is not None:
+            times = np.array(times, np.float64).reshape(-1)
+            if len(times) != len(poses):
+                raise CaphyError(f"there must be a time for each of {len(poses)} poses, got {len(times)}")
+            trust = np.array(np.broadcast_to(confidence, poses.shape[:2]), np.float32)
+            message = Seen(message.number, message.time, poses, transl, times, trust)
         self._number += len(poses)
         self._unsaved.append(message)
         self._since_saved += 1
@@ -200,16 +224,14 @@ class StreamClient:
 
     def _connect(self) -> ClientConnection:
         """A connection on which hello was said with the state there is."""
-        hello = Hello(
-            self._hello.garments, self._fps, self._hello.encoding, self._hello.normals, self._hello.credits, self._state
-        )
+        hello = replace(self._hello, fps=self._fps, state=self._state)
         end, wait = time.monotonic() + self._patience, 0.05
         while True:
             try:
                 opening = connect(self._address, compression=None, additional_headers=self._headers, max_size=None)
                 socket = opening.__enter__()  # and not with: the stream outlives this method
                 socket.send(encode_client(hello))
-                self._decoder = ServerDecoder(hello.encoding, hello.normals)
+                self._decoder = ServerDecoder(hello.encoding, hello.normals, conditioned=bool(hello.conditioning))
                 message = self._decoder.decode(socket.recv(timeout=10, decode=False))
                 if isinstance(message, Failure):
                     raise StreamRefused(message.code, message.text)
