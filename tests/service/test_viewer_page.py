@@ -20,6 +20,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from test_viewer_files import amass
 
 import service.viewer
+from caphy.body.surface import nearest_on_surface
 from caphy.io.bundle import write_bundle
 from service.engine import GarmentEngine
 from service.protocol import decode_request
@@ -38,7 +39,20 @@ FLAGS = [
     "--use-angle=swiftshader-webgl",
     "--enable-unsafe-swiftshader",
 ]
-CONTROLS = {"play", "scrub", "speed", "clip", "go-live", "shaded", "strain", "wireframe", "body", "tshirt", "trousers"}
+CONTROLS = {
+    "play",
+    "scrub",
+    "speed",
+    "clip",
+    "go-live",
+    "shaded",
+    "strain",
+    "depth",
+    "wireframe",
+    "body",
+    "tshirt",
+    "trousers",
+}
 SIZE = {"width": 640, "height": 460}
 LONG = 60.0
 """Seconds to wait for what is drawn in software on a busy machine."""
@@ -73,7 +87,7 @@ def page(browser: Browser, url: str, faults: list[str]) -> Iterator[Page]:
 def still(page: Page) -> Page:
     """The page as a test may expect it: a clip, shaded, everything shown, paused at frame 0."""
     page.evaluate("""() => {
-        caphy.play(false); caphy.goLive(false); caphy.colour(false); caphy.state.clear();
+        caphy.play(false); caphy.goLive(false); caphy.colour(''); caphy.state.clear();
         for (const button of document.querySelectorAll("#parts button"))
             if ((button.getAttribute("aria-pressed") === "true") === (button.id === "wireframe")) button.click();
         document.activeElement.blur();
@@ -197,7 +211,7 @@ def test_the_body_moves_with_the_poses(still, bundle, expected):
 
 
 def test_strain_is_the_largest_singular_value_of_the_deformation(still, bundle, expected):
-    still.evaluate("caphy.colour(true); caphy.seek(45)")
+    still.evaluate("caphy.colour('strain'); caphy.seek(45)")
     mesh = bundle.garment("tshirt").mesh
 
     def edges(vertices):
@@ -217,9 +231,33 @@ def test_strain_is_the_largest_singular_value_of_the_deformation(still, bundle, 
     assert re.search(r"95 % below \d+ %", still.locator("#legend-now").text_content())
 
 
+def test_penetration_is_the_distance_to_the_surface_from_inside(still, bundle, expected):
+    request, garments = expected
+    still.evaluate("caphy.seek(45); caphy.colour('depth')")
+    posed = bundle.body.posed(bundle.transforms(request.poses[[45]], request.transl[[45]]))[0]
+    deepest = []
+    for name, vertices in garments.items():
+        inside = np.maximum(-nearest_on_surface(vertices[45], posed, bundle.body.faces).distance, 0)
+        shown = floats(still, f'caphy.model.garments.get("{name}").depth')
+        reach = inside < 0.04  # deeper is not looked for
+        assert reach.mean() > 0.95
+        gap = np.abs(shown - inside)[reach]
+        assert np.percentile(gap, 99) < 1e-4  # the nearest vertex does not always have the nearest face
+        assert gap.max() < 5e-3
+        deepest.append(shown.max())
+    assert max(deepest) > 5e-3
+    assert still.evaluate("caphy.model.body.material.transparent")
+    legend = still.locator("#legend").text_content()
+    assert "10 mm" in legend
+    assert f"most {1e3 * max(deepest):.1f} mm" in legend
+    still.keyboard.press("p")
+    assert still.evaluate("caphy.heat === '' && !caphy.model.body.material.transparent")
+    assert not still.locator("#legend").is_visible()
+
+
 def test_heat_and_wireframe_change_the_picture(still):
     plain = picture(still)
-    for change in ("caphy.colour(true)", "document.getElementById('wireframe').click()"):
+    for change in ("caphy.colour('strain')", "document.getElementById('wireframe').click()"):
         still.evaluate(change)
         still.wait_for_timeout(400)
         changed = picture(still)
@@ -406,7 +444,7 @@ def test_a_browser_without_webgl_is_told(browser, url):
 def test_fits_a_phone(browser, url, faults, scheme):
     page = opened(browser, url, faults, viewport={"width": 360, "height": 640}, color_scheme=scheme)
     until(page, "caphy.clip?.ready > 0")
-    page.evaluate("caphy.colour(true)")
+    page.evaluate("caphy.colour('strain')")
     page.wait_for_timeout(500)
     assert page.evaluate(
         "document.documentElement.scrollWidth <= innerWidth && document.body.scrollHeight <= innerHeight"

@@ -4,7 +4,9 @@ import {
   GLTFLoader, Quaternion, Sphere, Vector3,
 } from "./three.js";
 import { JOINTS } from "./wire.js";
-import { largestStretch, restInverse, stretchColour } from "./strain.js";
+import { BodySurface, MOST as DEEPEST } from "./penetration.js";
+import { rampColour } from "./ramp.js";
+import { largestStretch, MOST, restInverse } from "./strain.js";
 
 const EVERYWHERE = new Sphere(new Vector3(), Infinity); // vertices move; never culled
 
@@ -29,6 +31,20 @@ export class AvatarModel {
       this.garments.set(mesh.name, garment);
       this.root.add(garment.mesh, garment.wire);
     }
+  }
+
+  /** Draws the body so that cloth inside it can be seen, or solid. */
+  seeThrough(on) {
+    Object.assign(this.body.material, { transparent: on, opacity: on ? 0.35 : 1, depthWrite: !on });
+    this.body.castShadow = !on;
+    this.body.material.needsUpdate = true;
+  }
+
+  /** Draws the garments where their vertices now are; the body must have been posed. */
+  update() {
+    const worn = [...this.garments.values()].filter((garment) => garment.mesh.visible);
+    if (worn.some((garment) => garment.heatKind === "depth")) (this.surface ??= new BodySurface(this.body)).place();
+    for (const garment of worn) garment.update(this.surface);
   }
 
   static async load(glb) { return new AvatarModel(await new GLTFLoader().parseAsync(glb, "")); }
@@ -62,6 +78,7 @@ class Garment {
     this.normals = new Float32Array(this.vertices.length);
     this.inverse = restInverse(this.vertices, this.faces);
     this.stretch = new Float32Array(this.faces.length / 3);
+    this.depth = new Float32Array(this.vertices.length / 3);
     this.geometry = new BufferGeometry();
     for (const name of ["position", "normal", "color"]) this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(3 * corners), 3));
     this.geometry.boundingSphere = EVERYWHERE;
@@ -75,19 +92,19 @@ class Garment {
     this.wire.geometry.setIndex(edges(this.faces));
     this.wire.geometry.boundingSphere = EVERYWHERE;
     for (const material of [this.plain, this.heat]) Object.assign(material, { polygonOffset: true, polygonOffsetFactor: 0.5, polygonOffsetUnits: 1 });
-    this.show({ visible: true, wire: false, strain: false });
+    this.show({ visible: true, wire: false, heat: "" });
   }
 
-  show({ visible, wire, strain }) {
-    this.strain = strain;
+  /** `heat`: "strain", "depth" or nothing. */
+  show({ visible, wire, heat }) {
+    this.heatKind = heat;
     this.mesh.visible = visible;
     this.wire.visible = visible && wire;
-    this.mesh.material = strain ? this.heat : this.plain;
+    this.mesh.material = heat ? this.heat : this.plain;
   }
 
-  /** Draws what `vertices` now holds. */
-  update() {
-    if (!this.mesh.visible) return;
+  /** Draws what `vertices` now holds, on a body whose `surface` is needed for depths only. */
+  update(surface) {
     vertexNormals(this.vertices, this.faces, this.normals);
     const { position, normal, color } = this.geometry.attributes;
     for (let corner = 0; corner < this.faces.length; corner++) {
@@ -98,12 +115,20 @@ class Garment {
       }
     }
     position.needsUpdate = normal.needsUpdate = true;
-    if (this.strain) {
-      largestStretch(this.vertices, this.faces, this.inverse, this.stretch);
-      for (let corner = 0; corner < this.faces.length; corner++) stretchColour(this.stretch[(corner / 3) | 0], color.array, 3 * corner);
-      color.needsUpdate = true;
-    }
+    if (this.heatKind) this.paint(surface);
     if (this.wire.visible) this.wire.geometry.attributes.position.needsUpdate = true;
+  }
+
+  /** Colours every corner by the stretch of its face, or by its own depth. */
+  paint(surface) {
+    const { color } = this.geometry.attributes;
+    if (this.heatKind === "strain") largestStretch(this.vertices, this.faces, this.inverse, this.stretch);
+    else surface.depths(this.vertices, this.depth);
+    for (let corner = 0; corner < this.faces.length; corner++) {
+      const share = this.heatKind === "strain" ? this.stretch[(corner / 3) | 0] / MOST : this.depth[this.faces[corner]] / DEEPEST;
+      rampColour(share, color.array, 3 * corner);
+    }
+    color.needsUpdate = true;
   }
 }
 

@@ -15,7 +15,8 @@ export function listenToKeys(viewer) {
     Home: () => viewer.step(-Infinity), End: () => viewer.step(Infinity),
     "[": () => viewer.faster(-1), "]": () => viewer.faster(1),
     "+": () => viewer.stage.zoom(0.9), "=": () => viewer.stage.zoom(0.9), "-": () => viewer.stage.zoom(1.1),
-    l: () => viewer.goLive(!viewer.live), h: () => viewer.colour(!viewer.strain),
+    l: () => viewer.goLive(!viewer.live), h: () => viewer.colour(viewer.heat === "strain" ? "" : "strain"),
+    p: () => viewer.colour(viewer.heat === "depth" ? "" : "depth"),
     w: () => find("wireframe").click(), b: () => find("body").click(),
     o: () => find("open").click(), c: () => find("camera").click(), "?": () => find("help").click(),
   };

@@ -8,8 +8,8 @@ export function listenToToolbar(viewer) {
   find("speed").addEventListener("change", (event) => viewer.setSpeed(Number(event.target.value)));
   find("clip").addEventListener("click", () => viewer.goLive(false));
   find("go-live").addEventListener("click", () => viewer.goLive(true));
-  find("shaded").addEventListener("click", () => viewer.colour(false));
-  find("strain").addEventListener("click", () => viewer.colour(true));
+  find("shaded").addEventListener("click", () => viewer.colour(""));
+  for (const id of ["strain", "depth"]) find(id).addEventListener("click", () => viewer.colour(id));
   for (const id of ["wireframe", "body"]) find(id).addEventListener("click", () => viewer.toggle(find(id)));
   find("open").addEventListener("click", () => find("file").click());
   find("file").addEventListener("change", (event) => {

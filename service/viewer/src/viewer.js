@@ -17,7 +17,8 @@ class Viewer {
     this.time = 0; // in frames, with fractions
     this.playing = false;
     this.speed = 1;
-    this.strain = this.wire = false;
+    this.wire = false;
+    this.heat = ""; // "strain", "depth" or nothing
     this.shown = null; // the frame that is seen
     this.state = new PageState({
       again: () => this.start(),
@@ -218,11 +219,11 @@ class Viewer {
   posed(frame, share) {
     const { clip, model } = this, other = Math.min(frame + 1, clip.frames - 1);
     model.pose(clip.pose(frame), clip.place(frame), clip.pose(other), clip.place(other), share);
-    for (const garment of model.garments.values()) garment.update();
+    model.update();
     const { x, z } = model.bones[0].position;
     this.stage.follow(x, z);
     this.shown = frame;
-    if (this.strain) this.legend.read(model, this.playing);
+    if (this.heat) this.legend.read(model, this.playing);
     this.stage.draw();
   }
 
@@ -230,13 +231,14 @@ class Viewer {
     const on = (button) => button.getAttribute("aria-pressed") === "true";
     this.model.body.visible = on(find("body"));
     for (const button of document.querySelectorAll("#parts [data-garment]")) {
-      const shown = { visible: on(button), wire: this.wire, strain: this.strain };
+      const shown = { visible: on(button), wire: this.wire, heat: this.heat };
       this.model.garments.get(button.dataset.garment).show(shown);
     }
     const ink = getComputedStyle(document.body).color;
     for (const { wire } of this.model.garments.values()) wire.material.color.set(ink);
-    this.legend.show(this.strain);
-    this.stage.flatten(this.strain);
+    this.model.seeThrough(this.heat === "depth"); // what lies inside would not be seen
+    this.legend.show(this.heat);
+    this.stage.flatten(Boolean(this.heat));
     if (this.shown === null) return;
     if (this.live) this.posed(this.shown, 0);
     else this.show();
@@ -248,10 +250,12 @@ class Viewer {
     if (this.model) this.appearance();
   }
 
-  colour(strain) {
-    this.strain = strain;
-    find("shaded").setAttribute("aria-pressed", String(!strain));
-    find("strain").setAttribute("aria-pressed", String(strain));
+  /** Colours the garments by a heat map, "strain" or "depth", or not at all. */
+  colour(heat) {
+    this.heat = heat;
+    for (const [id, kind] of [["shaded", ""], ["strain", "strain"], ["depth", "depth"]]) {
+      find(id).setAttribute("aria-pressed", String(kind === heat));
+    }
     if (this.model) this.appearance();
   }
 

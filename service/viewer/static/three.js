@@ -1,4 +1,4 @@
-/* built from sources 9016c26171e96e18e9366c93af3cc59117705dafe7768f81dbabe0f42221d050 */
+/* built from sources 88c2e04b9ad6f428d874669d2bd08e80a8fbff3a5d160b3541698369dd974b95 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
