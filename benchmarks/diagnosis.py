@@ -35,6 +35,10 @@ class Options:
     """Motions, strengths and noises, from seed 1."""
     noise_mm: float = 1.0
     """Standard deviation of each coordinate [mm]."""
+    points: int | None = None
+    """Of each frame's cloud; registered vertices unless given."""
+    only: tuple[str, ...] = ()
+    """Names of what is hidden; everything unless given."""
     workers: int = 2
     """Processes."""
     minutes: float = 1e9
@@ -53,8 +57,8 @@ def cases(options: Options) -> list[Case]:
     every: list[Case] = []
     for seed in range(1, options.seeds + 1):
         for scene in options.scenes:
-            singles = [("one", scene, name, seed) for name in ONE]
-            others = [(kind, scene, name, seed) for kind, names in kinds.items() for name in names]
+            singles = [("one", scene, name, seed) for name in ONE if _wanted(name, options)]
+            others = [(k, scene, name, seed) for k, names in kinds.items() for name in names if _wanted(name, options)]
             stride = max(len(singles) // max(len(others), 1), 1)
             while singles or others:
                 every += singles[:stride]
@@ -63,30 +67,36 @@ def cases(options: Options) -> list[Case]:
     return every
 
 
-def run(case: Case, noise_mm: float, cache: Path) -> dict:
+def _wanted(name: str, options: Options) -> bool:
+    return not options.only or name in options.only
+
+
+def run(case: Case, options: Options) -> dict:
     """One case: its answer and how it compares with the truth."""
     from caphy.diagnose.base import from_base
     from caphy.diagnose.diagnosis import diagnose
     from caphy.diagnose.figures import figures
     from caphy.measure.scene import Scene
+    from caphy.measure.track import registered
     from caphy.refit.study import Study
 
     torch.set_num_threads(1)
     kind, scene, name, seed = case
     hidden = {**ONE, **PAIRS, **NOTHING, **OUTSIDE}[name]
-    world = make(scene, hidden, seed, noise_mm=noise_mm, cache=cache)
+    noise_mm, points = options.noise_mm, options.points
+    world = make(scene, hidden, seed, noise_mm=noise_mm, points=points, cache=options.cache)
     began = time.process_time()
     key = (scene, seed, noise_mm, hidden.same_mesh)
     if key not in _BASES:
-        scenes = [Scene.of(measurement) for measurement in world.base]
+        scenes = [registered(Scene.of(measurement), world.model) for measurement in world.base]
         _BASES[key] = from_base(Study(scenes), world.model, scenes[0].motion is not None)
     learned = time.process_time() - began
     began = time.process_time()
     told = figures(diagnose(world.model, world.train, _BASES[key], world.held_out))
     told["ranking"] = told["ranking"][:6]
     seconds = {"diagnosis": time.process_time() - began, "base": learned}
-    return {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": noise_mm, "cpu_seconds": seconds,
-            "answer": dict(world.answer), "diagnosis": told}  # fmt: skip
+    return {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": noise_mm, "points": points,
+            "cpu_seconds": seconds, "answer": dict(world.answer), "diagnosis": told}  # fmt: skip
 
 
 _BASES: dict = {}
@@ -96,7 +106,8 @@ def main() -> None:
     """Run what is missing, then print the table."""
     options = tyro.cli(Options)
     known = rows(options.results)
-    done = {(r["kind"], r["scene"], r["hidden"], r["seed"]) for r in known if r["noise_mm"] == options.noise_mm}
+    like = [r for r in known if (r["noise_mm"], r.get("points")) == (options.noise_mm, options.points)]
+    done = {(r["kind"], r["scene"], r["hidden"], r["seed"]) for r in like}
     left = [case for case in cases(options) if case not in done]
     began = time.time()
     context = multiprocessing.get_context("spawn")
@@ -128,10 +139,11 @@ def _collected(options: Options, left: Sequence[Case], workers: list, answers) -
 def _work(queue, answers, options: Options, began: float) -> None:
     while (case := queue.get()) is not None and time.time() - began < 60 * options.minutes:
         try:
-            answers.put(run(case, options.noise_mm, options.cache))
+            answers.put(run(case, options))
         except Exception as error:
             kind, scene, name, seed = case
-            row = {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": options.noise_mm}
+            row = {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": options.noise_mm,
+                   "points": options.points}  # fmt: skip
             answers.put({**row, "error": f"{type(error).__name__}: {error}"})
     answers.put(None)
 
@@ -186,13 +198,17 @@ def table(found: Sequence[dict]) -> str:
     """The numbers, and every failure."""
     good = [row for row in found if "error" not in row]
     lines = [""]
-    for noise in sorted({row["noise_mm"] for row in good}):
-        for scene in sorted({row["scene"] for row in good}):
-            part = [row for row in good if row["noise_mm"] == noise and row["scene"] == scene]
-            lines += [f"{scene}, {noise:g} mm noise", *_part(part)]
+    for scene, noise, points in sorted({_kind(row) for row in good}):
+        part = [row for row in good if _kind(row) == (scene, noise, points)]
+        what = f", clouds of {points} points" if points else ""
+        lines += [f"{scene}, {noise:g} mm noise{what}", *_part(part)]
     lines += ["", "failures"]
     lines += [f"  {line(row)}" for row in found if "error" in row or not near(row)]
     return "\n".join(lines)
+
+
+def _kind(row: dict) -> tuple[str, float, int]:
+    return row["scene"], row["noise_mm"], row.get("points") or 0
 
 
 def _part(part: Sequence[dict]) -> Iterator[str]:

@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -130,11 +130,13 @@ def _with_physics(command: Compare, model: Model, measurement: Measurement) -> C
     from caphy.measure.comparison import compare
     from caphy.measure.prediction import predict_in_windows
     from caphy.measure.scene import Scene
+    from caphy.measure.track import registered
 
     garment = None if command.garment is None else Garment.load(command.garment)
     scene = Scene.of(measurement, garment, None if command.body is None else BodyModel.load(command.body))
     with Progress(measurement.name) as progress:
-        prediction = predict_in_windows(scene, model, command.window, progress)
+        prediction = predict_in_windows(registered(scene, model, progress), model, command.window, progress)
+        prediction = replace(prediction, registered=measurement.registered)
         progress("comparing", 1, 1)
     return compare(prediction, measurement, scene.regions)
 

@@ -21,6 +21,7 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
+from caphy.measure.track import registered
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import half_widths
@@ -126,7 +127,7 @@ def diagnose(
 
     Args:
         model: what the user believes.
-        measurements: where it may fail.
+        measurements: where it may fail; point clouds are registered with the model's help.
         base: measurements of the same cloth for which the model's effects are trusted: its parameters are fitted to
             them, and what they leave is what a solver and a mesh leave where nothing is missing. Or what an earlier
             diagnosis learned from them.
@@ -142,7 +143,8 @@ def diagnose(
     if not measurements:
         raise CaphyError("give at least one measurement to diagnose")
     calm = () if isinstance(base, Base) else tuple(base)
-    scenes = [_scene(measurement, garment, body) for measurement in (*measurements, *calm, *held_out)]
+    every = (*measurements, *calm, *held_out)
+    scenes = [registered(_scene(measurement, garment, body), model, progress) for measurement in every]
     count, more = len(measurements), len(measurements) + len(calm)
     study = Study(scenes[:count], progress=progress, crew=crew)
     on_body = scenes[0].motion is not None

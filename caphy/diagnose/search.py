@@ -36,7 +36,12 @@ SMALL = 0.3
 """Gain below which an effect moves the cloth so little that tangents alone rank it; roll-outs differ by more.
 Only where base measurements have told the parameters: a stiffness that is far off does not act linearly."""
 
+OWN = 1.5
+"""Times the best gain of the library: what parameters must reach that base measurements have told already."""
+
 _CLOSE = 0.6  # of the best gain: what is refitted
+_EVEN = 0.85  # of the best gain: what tangents do not tell from it
+_ROLLED = 0.05  # of the misfit: by how much one roll-out must be better than another to mean anything
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
 _FURTHER = 0.05  # of the misfit that is left: what a further effect must take away at least
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
@@ -165,21 +170,23 @@ def _more_needed(group: Group, base: Base) -> float:
     return max(LEAST_GAIN if group.own else 0.0, MISTAKEN * base.mistaken.get(group.label, 0.0))
 
 
-def finalists(last: Screen) -> list[Score]:
+def finalists(last: Screen, sure_of_parameters: bool = False) -> list[Score]:
     """The explanations worth a refit: those near the best of what is beyond chance."""
     sure = [score for score in last.scores if last.enough(score) and score.wald >= LEAST_WALD]
+    if sure_of_parameters:
+        library = max((score.gain for score in sure if not score.group.own), default=0.0)
+        sure = [score for score in sure if not score.group.own or score.gain >= OWN * library]
     return [score for score in sure if score.gain >= _CLOSE * sure[0].gain][:FINALISTS]
 
 
 def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | None:
     last = found.screens[-1]
-    near = finalists(last)
+    near = finalists(last, sure_of_parameters)
     if not near:
         return None
     if sure_of_parameters and near[0].gain < SMALL:
         shares = {score.group.label: score.gain for score in near}
-        chosen = _simplest(near, shares, sure_of_parameters)
-        fits = {chosen.group.label: _fitted(study, found, chosen, ROUNDS)}
+        chosen, fits = _told_by_tangents(study, found, near, shares)
     else:
         rounds = 1 if sure_of_parameters else ROUNDS
         fits = {score.group.label: _fitted(study, found, score, rounds) for score in near}
@@ -193,6 +200,20 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
     if more < max(last.needed, _FURTHER if found.terms else 0.0):
         return None
     return Term(chosen.group, best, shares)
+
+
+def _told_by_tangents(
+    study: Study, found: Search, near: Sequence[Score], shares: dict[str, float]
+) -> tuple[Score, dict[str, Fit]]:
+    """The best by tangents; where one with as few numbers is as good, roll-outs decide if they differ by enough."""
+    chosen = _simplest(near, shares, True)
+    even = [s for s in near if s.size <= chosen.size and s.gain >= _EVEN * chosen.gain]
+    fits = {score.group.label: _fitted(study, found, score, ROUNDS) for score in even}
+    misfits = {label: each.misfit for label, each in fits.items()}
+    least = min(even, key=lambda score: misfits[score.group.label])
+    if misfits[least.group.label] < misfits[chosen.group.label] - _ROLLED * found.screens[-1].misfit:
+        chosen = least
+    return chosen, fits
 
 
 def _simplest(near: Sequence[Score], shares: dict[str, float], sure_of_parameters: bool) -> Score:

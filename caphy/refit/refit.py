@@ -14,6 +14,7 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
+from caphy.measure.track import registered
 from caphy.refit.columns import Column, addition, extended, moved, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
@@ -63,15 +64,16 @@ def refit(
 ) -> Refit:
     """Fit the numbers of added effects, or without any the model's own parameters, jointly on real roll-outs.
 
-    Without held-out measurements every fourth window is held out. ``crew`` shares the work.
+    Point clouds are registered with the model's help. Without held-out measurements every fourth window is held out.
+    ``crew`` shares the work.
 
     Raises:
         CaphyError: an effect is unknown, is there already, or the measurements are too short.
     """
     names = _checked(model, add)
-    scenes = [Scene.of(measurement, garment, body) for measurement in measurements]
+    scenes = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in measurements]
     study = Study(scenes, progress=progress, crew=crew)
-    apart = [Scene.of(measurement, garment, body) for measurement in held_out]
+    apart = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in held_out]
     proof = None if apart else _split(study)
     fitted, first, removed = _fitted(study, model, names)
     variance = first.variance

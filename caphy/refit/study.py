@@ -22,14 +22,15 @@ FEWEST = 4
 """Windows without which nothing can be told."""
 
 _SHORTER = 0.4
-ROUNDS = 4
+ROUNDS = 7
 """Gauss-Newton steps at most."""
 
-_SETTLED = 0.01  # of the misfit: what a further Gauss-Newton step must promise
+_SETTLED = 3e-3  # of the misfit: what a further Gauss-Newton step must promise; viscosity goes on by small promises
 
 SNAPPED = 2.0
 """Times its first misfit: what a window may count at most."""
 _LARGE = 0.3  # share of the misfit beyond which roll-outs tell it better than tangents
+_AT_ODDS = 0.1  # likewise where tangents from either side differ by so much of the misfit
 _ROUGH = 0.05  # of the misfit: what differs between roll-outs of almost the same model, because folds snap
 _FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
 
@@ -181,16 +182,15 @@ def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[f
 
     The misfits of two roll-outs differ by more than small effects do, because folds snap here in one and there in the
     other. Tangents tell what the change itself does: forwards from the model before, and backwards from the one after.
-    Where it takes away more than 30 %, tangents no longer reach from one to the other, and roll-outs tell. The error is
-    that of a sum over windows.
+    Where it takes away more than 30 %, or the two are at odds (viscosity does less and less the more there is of it),
+    tangents do not reach from one to the other, and roll-outs tell. The error is that of a sum over windows.
     """
     zero = np.zeros_like(change)
     old, ahead = before.misfit(zero), before.misfit(change)
     back, new = after.misfit(-change), after.misfit(zero)
-    if new.sum() < (1 - _LARGE) * old.sum():
-        falls = (old - new) / old.sum()
-    else:
-        falls = 0.5 * ((old - ahead) / max(old.sum(), 1e-300) + (back - new) / max(back.sum(), 1e-300))
+    forwards, backwards = (old - ahead) / max(old.sum(), 1e-300), (back - new) / max(back.sum(), 1e-300)
+    far = new.sum() < (1 - _LARGE) * old.sum() or abs(forwards.sum() - backwards.sum()) > _AT_ODDS
+    falls = (old - new) / max(old.sum(), 1e-300) if far else 0.5 * (forwards + backwards)
     return float(falls.sum()), float(np.sqrt(len(falls)) * falls.std(ddof=1)) if len(falls) > 1 else np.inf
 
 

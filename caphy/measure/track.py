@@ -1,0 +1,224 @@
+"""Registering point clouds: a cloth that moves as the model says is drawn to each frame's points.
+
+A filter in time: the state is advanced by one frame, then the cloth settles between where the model put it and the
+points, with its own elasticity, weight and contact in force. Points draw along the normal only, so that the cloth may
+slide under them; its rim is drawn sideways too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from caphy.body.surface import nearest_on_surface
+from caphy.effects.base import Effect, Elements, Values
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential, Term
+from caphy.effects.vectors import dot, isotropic
+from caphy.errors import CaphyError
+from caphy.garment.topology import boundary_loops
+from caphy.measure.mesh_body import MeshBody
+from caphy.measure.noise import measurement_noise
+from caphy.measure.scene import Scene
+from caphy.solve.integrators import State
+from caphy.solve.newton import Newton
+from caphy.solve.rollout import Simulator
+
+PULL = 12_000.0
+"""Stiffness over mass of the springs to the points [1/s^2], as strong as those that start windows."""
+PRIOR = 900.0
+"""The same towards where the model put the cloth: inertia over one frame at 30 frames per second."""
+FEWEST = 50
+"""Points without which a frame counts as missing."""
+
+_ROUNDS, _FIRST_ROUNDS = 6, 40  # of nearest points, in each frame and in the first
+_TRUSTED = 0.5  # share of a correction that velocities take over
+_FAR = 0.03  # metres: points farther from the cloth than this and five times the noise belong to something else
+_SUBSTEPS = 2
+_TOLERANCE = 2e-4  # of the solver [N]
+
+Progress = Callable[[str, int, int], None]
+
+
+class DrawnToPoints(Effect):
+    """Springs to the points along the normal (at the rim in all directions), and to the predicted state.
+
+    E = pull/2 (n.(x - P))^2 + rim/2 |x - P|^2 + prior/2 |x - Q|^2 + push.x [J] per vertex, P where the points are, Q
+    the prediction; the push balances the cloth at Q. Not registered: it is no physics.
+    """
+
+    name = "drawn_to_points"
+    element = "vertex"
+    reference = "Bouaziz, Tagliasacchi, Pauly, Sparse ICP, SGP 2013, section 2 (point to plane); Kalman 1960"
+
+    def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
+        zeros = np.zeros((3, len(cloth.vertices)))
+        names = ("normal", "place", "predicted", "push")
+        return {**dict.fromkeys(("pull", "rim", "prior"), zeros[0]), **dict.fromkeys(names, zeros)}
+
+    def energy(self, e: Elements, p: Values) -> Tensor:
+        (x,) = e.x
+        offset, away = x - e.rest["place"], x - e.rest["predicted"]
+        across = dot(e.rest["normal"], offset)
+        springs = e.rest["pull"] * across**2 + e.rest["rim"] * dot(offset, offset) + e.rest["prior"] * dot(away, away)
+        return 0.5 * springs + dot(e.rest["push"], x)
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        """Constant and positive semi-definite."""
+        normal = e.rest["normal"]
+        across = e.rest["pull"] * normal[:, None] * normal[None]
+        return isotropic(e.rest["rim"] + e.rest["prior"], e.x) + across.reshape(1, 3, 1, 3, -1)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        return self.hessian(e, p)
+
+
+def registered(scene: Scene, model: Model, progress: Progress | None = None) -> Scene:
+    """A scene whose cloud has become vertices (T, V, 3) of the garment; one that is registered stays as it is.
+
+    Vertices with no point near them count as not seen. What the tracker cannot see, sliding along itself, follows the
+    model, so that an effect that only does that is lost.
+
+    Raises:
+        CaphyError: fewer than two frames hold enough points, or the first ones are far from any cloth.
+    """
+    if scene.measurement.vertices is not None:
+        return scene
+    tracker = _Tracker(scene, model)
+    vertices, visible = tracker.run(progress)
+    noise = measurement_noise(scene.measurement)
+    measurement = replace(
+        scene.measurement,
+        vertices=np.where(visible[..., None], vertices, np.nan),
+        faces=scene.garment.faces,
+        points=None,
+        offsets=None,
+        noise=None,
+        noise_mm=None if noise is None else 1e3 * noise.sigma,
+        notes=(*scene.measurement.notes, "registered with the model's help"),
+    )
+    return replace(scene, measurement=measurement)
+
+
+class _Tracker:
+    def __init__(self, scene: Scene, model: Model) -> None:
+        self.scene, self.measurement = scene, scene.measurement
+        self.potential = scene.potential(model)
+        self.drawn = Potential(model, self.potential.cloth)
+        effect, vertex = DrawnToPoints(), Potential(Model(model.density, {"gravity": {}}), self.potential.cloth)
+        term = vertex.terms["gravity"]
+        rest = {name: torch.from_numpy(value) for name, value in effect.rest(self.potential.cloth).items()}
+        self.drawn.terms[effect.name] = Term(effect, term.index, term.incidence, rest, {})
+        self.newton = Newton(self.drawn, scene.fixed, _TOLERANCE)
+        self.simulator = Simulator(
+            Newton(self.potential, scene.fixed, _TOLERANCE),
+            scene.motion,  # type: ignore[arg-type]
+            pins=scene.pins,
+        )
+        noise = measurement_noise(self.measurement)
+        self.reach = _FAR + 5 * (0.0 if noise is None else noise.sigma)
+        self.faces, self.mass = scene.garment.faces, self.potential.cloth.mass
+        self.rim = np.zeros(len(self.mass), bool)
+        for loop in boundary_loops(self.faces):
+            self.rim[loop] = True
+
+    def run(self, progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (T, V, 3) [m] and which of them were seen (T, V)."""
+        fps, count = self.measurement.fps, len(self.measurement)
+        clouds = [self.measurement.cloud(frame) for frame in range(count)]
+        enough = [len(cloud) >= FEWEST for cloud in clouds]
+        if sum(enough) < 2:
+            where = self.measurement.source or self.measurement.name
+            raise CaphyError(
+                f"{where}: at least two frames must hold {FEWEST} points or more, {sum(enough)} of {count} do"
+            )
+        vertices, visible = np.full((count, len(self.mass), 3), np.nan), np.zeros((count, len(self.mass)), bool)
+        first = enough.index(True)
+        x, near = self._first(clouds[first], first / fps)
+        vertices[first], visible[first] = x.numpy(), near
+        state = State(first / fps, x, torch.zeros_like(x))
+        for frame in range(first + 1, count):
+            state, _ = self.simulator.advance(state, 1 / fps, _SUBSTEPS)
+            vertices[frame] = state.x.numpy()
+            if enough[frame]:
+                x, visible[frame] = self._settled(state.x, clouds[frame], frame / fps, PRIOR, _ROUNDS)
+                state = State(state.time, x, state.v + _TRUSTED * fps * (x - state.x))
+                vertices[frame] = x.numpy()
+            if progress is not None:
+                progress("registering", frame + 1, count)
+        return vertices, visible
+
+    def _first(self, cloud: np.ndarray, time: float) -> tuple[Tensor, np.ndarray]:
+        """The cloth in the first frame: from where it is worn, or laid into the cloud by its pins and middle."""
+        motion = self.scene.motion
+        if motion is not None and not isinstance(motion, MeshBody):
+            place = motion.anchors(np.array([time]))[0]
+        else:
+            place = self._laid(cloud, time)
+        x, near = self._settled(torch.from_numpy(place), cloud, time, 0.0, _FIRST_ROUNDS, reach=np.inf)
+        gap = np.abs(nearest_on_surface(cloud, x.numpy(), self.faces).distance)
+        if np.median(gap) > _FAR:
+            where = self.measurement.source or self.measurement.name
+            raise CaphyError(
+                f"{where}: the cloth must be near the first cloud; half of its points are farther than "
+                f"{1e3 * np.median(gap):.0f} mm; check units, axes and pins"
+            )
+        return x, near
+
+    def _laid(self, cloud: np.ndarray, time: float) -> np.ndarray:
+        rest, ends = self.scene.garment.vertices, [cloud.mean(0)]
+        starts = [rest.mean(0)]
+        if self.scene.fixed is not None and self.scene.pins is not None:
+            starts += list(rest[self.scene.fixed])
+            ends += list(self.scene.pins(time).numpy())
+        a, b = np.array(starts), np.array(ends)
+        left, _, right = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+        flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+        turn = left @ flip @ right
+        return (rest - a.mean(0)) @ turn + b.mean(0)
+
+    def _settled(
+        self, x: Tensor, cloud: np.ndarray, time: float, prior: float, rounds: int, reach: float | None = None
+    ) -> tuple[Tensor, np.ndarray]:
+        """The cloth between prediction and points, and which vertices had points near them."""
+        rest, motion = self.drawn.terms[DrawnToPoints.name].rest, self.scene.motion
+        body = None if motion is None else lambda at: motion.state(time, at.numpy(), 1 / self.measurement.fps)
+        push = torch.zeros_like(x)
+        if prior:
+            push = -self.potential.gradient(x, None, None if body is None else body(x))[1]
+        rest["prior"] = torch.from_numpy(prior * self.mass)
+        rest["predicted"], rest["push"] = x.T.contiguous(), push.T.contiguous()
+        near = np.zeros(len(x), bool)
+        x = x.clone()
+        if self.scene.pins is not None and self.scene.fixed is not None:
+            x[torch.from_numpy(np.flatnonzero(self.scene.fixed))] = self.scene.pins(time)
+        for _ in range(rounds):
+            place, share, normal = self._matched(x.numpy(), cloud, self.reach if reach is None else reach)
+            near = share > 0
+            pull = PULL * self.mass * np.minimum(share, 1)
+            rest["pull"], rest["rim"] = torch.from_numpy(pull), torch.from_numpy(pull * self.rim)
+            rest["normal"], rest["place"] = (torch.from_numpy(np.ascontiguousarray(a.T)) for a in (normal, place))
+            x = self.newton.minimise(x, None, body)[0]
+        return x, near
+
+    def _matched(self, x: np.ndarray, cloud: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where points draw each vertex (V, 3) [m], how many share it over the mean (V,), and normals (V, 3)."""
+        found = nearest_on_surface(cloud, x, self.faces)
+        kept = np.abs(found.distance) < reach
+        corners, weight = self.faces[found.face[kept]], np.asarray(found.barycentric)[kept]
+        away = cloud[kept] - np.asarray(found.point)[kept]
+        total = np.bincount(corners.ravel(), weight.ravel(), len(x))
+        drawn = np.stack(
+            [np.bincount(corners.ravel(), (weight * away[:, i : i + 1]).ravel(), len(x)) for i in range(3)], 1
+        )
+        drawn /= np.maximum(total, 1e-9)[:, None]
+        area = np.cross(x[self.faces[:, 1]] - x[self.faces[:, 0]], x[self.faces[:, 2]] - x[self.faces[:, 0]])
+        normal = np.stack([np.bincount(self.faces.ravel(), np.repeat(area[:, i], 3), len(x)) for i in range(3)], 1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        expected = len(cloud) * self.potential.cloth.vertex_area / self.potential.cloth.vertex_area.sum()
+        return x + drawn, total / np.maximum(expected, 1e-9), normal

@@ -1,0 +1,76 @@
+"""Clouds of a cloth that an independent explicit integrator moved become vertices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from explicit_cloth import simulate
+
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.io.measurements import Measurement
+from caphy.measure.scene import Scene
+from caphy.measure.track import registered
+from caphy.refit.study import Study
+
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+
+
+def clouds(positions: np.ndarray, faces: np.ndarray, count: int, noise: float, seed: int = 0) -> list[np.ndarray]:
+    """Points (count, 3) [m] of each frame, spread over the faces anew in every frame."""
+    random, found = np.random.default_rng(seed), []
+    for x in positions:
+        a, b, c = x[faces.T]
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        face = random.choice(len(faces), count, p=area / area.sum())
+        u, v = np.sort(random.uniform(size=(2, count)), axis=0)
+        points = u[:, None] * a[face] + (v - u)[:, None] * b[face] + (1 - v)[:, None] * c[face]
+        found.append(points + random.normal(0, noise, points.shape))
+    return found
+
+
+def seen(frames: list[np.ndarray], keys: dict, **changes) -> Measurement:
+    offsets = np.cumsum([0, *map(len, frames)])
+    return Measurement(name="cloud", fps=30, points=np.concatenate(frames), offsets=offsets, **{**keys, **changes})
+
+
+@pytest.fixture(scope="module")
+def film() -> tuple[np.ndarray, dict]:
+    return simulate(seconds=1.2, settle=2.0)
+
+
+def test_clouds_become_vertices(film):
+    positions, keys = film
+    frames = clouds(positions, keys["faces"], 1500, 1e-3)
+    frames[20] = frames[20][:0]  # a frame that was lost
+    scene = registered(Scene.of(seen(frames, keys, noise_mm=1.0)), MODEL)
+    found = scene.measurement
+    assert found.registered
+    assert found.points is None
+    error = 1e3 * np.linalg.norm(found.vertices - positions, axis=-1)
+    assert np.isnan(error[20]).all()
+    assert np.isfinite(np.delete(error, 20, axis=0)).mean() > 0.98
+    assert np.nanmedian(error) < 2.0
+    assert np.nanquantile(error, 0.95) < 8.0
+    assert sum(map(len, Study([scene]).starts)) >= 4  # windows start there
+
+
+def test_what_is_registered_stays(film):
+    positions, keys = film
+    scene = Scene.of(Measurement(name="film", fps=30, vertices=positions, **keys))
+    assert registered(scene, MODEL) is scene
+
+
+def test_a_cloud_of_something_else_is_refused(film):
+    positions, keys = film
+    frames = clouds(positions[:5], keys["faces"], 400, 1e-3)
+    keys = {**keys, "pinned_positions": keys["pinned_positions"][:5]}
+    far = [cloud + np.array([0, 0, 0.5]) * (cloud[:, 1:2] < -0.1) for cloud in frames]
+    with pytest.raises(CaphyError, match="near the first cloud"):
+        registered(Scene.of(seen(far, keys)), MODEL)
+    few = [cloud[:10] for cloud in frames]
+    with pytest.raises(CaphyError, match="at least two frames must hold 50 points"):
+        registered(Scene.of(seen(few, keys)), MODEL)
+    assert registered(Scene.of(replace(seen(frames, keys), noise_mm=2.0)), MODEL).measurement.noise_mm == 2.0
