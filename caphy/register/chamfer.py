@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
+from caphy.errors import CaphyError
 from caphy.register.articulation import PlacedFigure
 from caphy.register.cloud import Cloud, even_sample
 from caphy.scan.scan import LOWER, UPPER
@@ -14,7 +15,8 @@ from caphy.scan.scan import LOWER, UPPER
 LABELS = {"upper": UPPER, "lower": LOWER}
 MOST = 0.08
 """Distance [m] beyond which points count no more."""
-CLOTH_POINTS = 2000
+CLOTH_POINTS, ALL_POINTS = 2000, 24000
+"""Points that distances, and the borders of the cloth, are taken from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,32 +26,54 @@ class Target:
     cloth: np.ndarray
     """Its points (N, 3) [m]."""
     everything: KDTree
-    """All points of the scan."""
-    hidden: np.ndarray
-    """Which of all points belong to what may be worn over it."""
+    """Points of the whole scan."""
+    labels: np.ndarray
+    """Their labels."""
+    kind: str
     cloth_tree: KDTree
+    """All points of the cloth."""
+    normals: np.ndarray
+    """Their normals."""
+    spacing: float
+    """How far apart they lie [m]."""
     placed: PlacedFigure
     """The body in this scan."""
 
     @classmethod
     def of(cls, cloud: Cloud, placed: PlacedFigure, kind: str) -> Target:
         """The cloth of a kind (``upper`` or ``lower``) in a cloud; an upper garment may hide a lower one."""
-        own = cloud.points[cloud.labels == LABELS[kind]]
-        thin = cloud.thinned(4 * CLOTH_POINTS)
-        over = (thin.labels == UPPER) & (kind == "lower")
-        cloth = own[even_sample(own, CLOTH_POINTS)] if len(own) > CLOTH_POINTS else own
-        return cls(cloth, KDTree(thin.points), over, KDTree(own), placed)
+        mine = cloud.labels == LABELS[kind]
+        own, thin = cloud.points[mine], cloud.thinned(ALL_POINTS)
+        if len(own) < 2:
+            raise CaphyError(
+                f"{cloud.name}: has no points labelled {kind}; check its labels, or leave that garment out"
+            )
+        cloth, tree = own[even_sample(own, CLOTH_POINTS)] if len(own) > CLOTH_POINTS else own, KDTree(own)
+        spacing = float(np.quantile(tree.query(own[:: max(1, len(own) // 1000)], k=2)[0][:, 1], 0.9))
+        return cls(cloth, KDTree(thin.points), thin.labels, kind, tree, cloud.normals[mine], spacing, placed)
 
     def posed(self, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Points (N, 3) on the T-posed body, skinned with weights (N, 55) into this scan."""
         blend = np.tensordot(weights, self.placed.transforms, axes=1)
         return np.einsum("nij,nj->ni", blend[..., :3], points) + blend[..., 3] + self.placed.placement.transl
 
+    def seen(self, posed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which posed points (N,) lie where the scan shows what is there, and which of them where it is this cloth.
+
+        Nothing is known far from any point of the scan, nor for a lower garment where an upper one lies over it. Cloth
+        is where its nearest point lies straight below or above, rather than aside, as it does beyond a hem.
+        """
+        distance, nearest = self.everything.query(posed)
+        known = (distance < MOST) & ~((self.kind == "lower") & (self.labels[nearest] == UPPER))
+        nearest = self.cloth_tree.query(posed)[1]
+        offset = posed - self.cloth_tree.data[nearest]
+        up = (offset * self.normals[nearest]).sum(axis=1)
+        aside = np.sqrt(np.maximum((offset**2).sum(axis=1) - up**2, 0.0))
+        return known, known & (np.abs(up) < MOST) & (aside < self.spacing)
+
     def from_garment(self, posed: np.ndarray) -> np.ndarray:
-        """Distance (N,) [m] of posed garment points from the cloth; zero where another garment hides them."""
-        distance = np.minimum(self.cloth_tree.query(posed, distance_upper_bound=MOST)[0], MOST)
-        nearest = self.everything.query(posed)[1]
-        return np.where(self.hidden[nearest], 0.0, distance)
+        """Distance (N,) [m] of posed garment points from the cloth."""
+        return np.minimum(self.cloth_tree.query(posed, distance_upper_bound=MOST)[0], MOST)
 
     def to_garment(self, posed: np.ndarray) -> float:
         """Mean distance [m] of the cloth from posed garment points (N, 3)."""

@@ -21,6 +21,8 @@ SKIN_ROUNDS = 4
 POSE_STEPS = 2
 POSE_POINTS, SKIN_POINTS = 3000, 6000
 """Scan points that poses and the displacement are fitted to, for each scan."""
+INDEPENDENT = 0.4
+"""Scans' worth of evidence on the shape: the same skin and cloth err alike in each, unlike a pose's errors."""
 ROUNDS = len(SHAPE_REACHES) + SKIN_ROUNDS
 
 
@@ -64,13 +66,14 @@ def _shape_round(
 ) -> State:
     """One Gauss-Newton step of the shape and all poses together; the shape's coefficients are standard normal."""
     figure = state.figure
+    counted = min(1.0, INDEPENDENT / len(wearers))
     matrix, right = np.eye(len(figure.betas)), -figure.betas
     steps: list[tuple[Equations, np.ndarray]] = []
     for wearer, placement in zip(wearers, state.placements, strict=True):
         placed, matches = _matched(figure, placement, surface, wearer.pose_cloud, reach)
         found = equations(placed, matches, *wearer.prior.residuals(placement, placed.world), True)
         part, value = found.without_pose()
-        matrix, right = matrix + part, right + value
+        matrix, right = matrix + counted * part, right + counted * value
         steps.append((found, placed.world))
         tick()
     shape = np.linalg.solve(matrix, right)

@@ -17,15 +17,15 @@ from caphy.register.cloud import Cloud
 
 MARGIN = 0.004
 """How far cloth that touches lies above the skin [m]: its contact distance and half its thickness."""
-DRAW = 0.03
+DRAW = 0.002
 """Weight of a cloth point that hangs free, against one of a skin point."""
-HANG = 0.02
+HANG = 0.008
 """Gap beyond the margin at which the draw of free cloth has fallen to a quarter [m]."""
 FACING = 0.3
 """Least cosine between a point's normal and the body's for the two to belong together."""
 NOISE = 0.002
 """Standard deviation of one point [m]."""
-INFORMATION = 0.02
+INFORMATION = 0.3
 """What one point counts for: its neighbours err together."""
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from caphy.errors import CaphyError
 from caphy.garment import topology
 from caphy.garment.attach import skinning_weights
 from caphy.garment.families import FAMILIES, Family
@@ -21,6 +20,8 @@ from caphy.garment.meshing import contour
 
 GRID = 0.015
 """Spacing of a surface's points [m]."""
+POINTS = 8000
+"""Points of each surface."""
 KINDS: Mapping[str, tuple[str, ...]] = {
     "upper": ("tshirt", "longsleeve", "tank"),
     "lower": ("trousers", "shorts", "skirt"),
@@ -78,26 +79,34 @@ class Sheet:
     """One surface of a family: points of the longest garment, and how far inside each opening they lie."""
 
     longest: Family
-    points: np.ndarray
-    """(N, 3) on the T-posed body [m]."""
+    vertices: np.ndarray
+    """Mesh of the surface on the T-posed body (M, 3) [m]."""
     faces: np.ndarray
-    """(F, 3): which points are neighbours."""
+    """(F, 3)."""
+    face: np.ndarray
+    """The face that each of N points lies on; they are spread at random, since a grid's rows would round lengths."""
+    points: np.ndarray
+    """(N, 3) [m]."""
     weights: np.ndarray
-    """Skinning weights (N, 55)."""
+    """Skinning weights of the points (N, 55)."""
     marks: Landmarks
     _inside: dict[tuple[float, float] | None, dict[str, np.ndarray]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, longest: Family, marks: Landmarks) -> Sheet:
+    def of(cls, longest: Family, marks: Landmarks, seed: int = 0) -> Sheet:
         """Contour the surface of ``longest``."""
         cut = longest.cut(marks)
         vertices, faces = contour(cut.surface, cut.low, cut.high, GRID)
         near = np.all([value(vertices) > -0.1 for value in cut.openings.values()], axis=0)  # the head is none of it
         faces = faces[near[faces].all(axis=1)]
         used, flat = np.unique(faces, return_inverse=True)
-        points, faces = vertices[used], flat.reshape(faces.shape)
-        weights = skinning_weights(points, faces, marks.body, marks.vertices)
-        return cls(longest, points, faces, weights, marks)
+        vertices, faces = vertices[used], flat.reshape(faces.shape)
+        weights = skinning_weights(vertices, faces, marks.body, marks.vertices)
+        rng, area = np.random.default_rng(seed), topology.face_areas(vertices, faces)
+        face = rng.choice(len(faces), POINTS, p=area / area.sum())
+        share = rng.dirichlet(np.ones(3), POINTS)
+        points, own = (np.einsum("nk,nkc->nc", share, values[faces[face]]) for values in (vertices, weights))
+        return cls(longest, vertices, faces, face, points, own, marks)
 
     def kept(self, style: Family) -> np.ndarray:
         """Which points (N,) belong to a style of this surface."""
@@ -113,12 +122,12 @@ class Sheet:
         neck = (style.neck_width, style.neck_depth) if hasattr(style, "neck_width") else None  # pyright: ignore
         if neck not in self._inside:
             own = self.longest if neck is None else replace(self.longest, neck_width=neck[0], neck_depth=neck[1])
-            found = {name: value(self.points) for name, value in own.cut(self.marks).openings.items()}
-            whole = np.all([value > 0 for value in found.values()], axis=0)
-            faces = self.faces[whole[self.faces].all(axis=1)]
-            main = np.zeros(len(self.points), bool)
-            main[faces[topology.components(faces)[0]]] = True
-            self._inside[neck] = found | {"piece": np.where(main, np.inf, -np.inf)}
+            openings = own.cut(self.marks).openings
+            whole = np.all([value(self.vertices) > 0 for value in openings.values()], axis=0)
+            within = np.flatnonzero(whole[self.faces].any(axis=1))
+            piece = within[topology.components(self.faces[within])[0]]
+            found = {name: value(self.points) for name, value in openings.items()}
+            self._inside[neck] = found | {"piece": np.where(np.isin(self.face, piece), np.inf, -np.inf)}
         return self._inside[neck]
 
 
@@ -137,12 +146,3 @@ def styles_of(sheet: Sheet, count: int, rng: np.random.Generator) -> Iterator[Fa
         if any(f.name == "neck_width" for f in fields(sheet.longest)):
             chosen["neck_width"], chosen["neck_depth"] = NECKS[i % len(NECKS)]
         yield replace(sheet.longest, **chosen)
-
-
-def checked(style: Family, marks: Landmarks) -> Family | None:
-    """The style if it can be cut on this body, else none."""
-    try:
-        style.cut(marks)
-    except CaphyError:
-        return None
-    return style
