@@ -20,14 +20,14 @@ SECONDS = 3.2
 CLIPS: dict[str, tuple[str, float]] = {
     "jumps": ("bvh/01_01.bvh", 1.0),
     "walk": ("bvh/02_01.bvh", 0.0),
-    "dance": ("bvh/05_06.bvh", 1.0),
+    "turning walk": ("bvh_from_expmap/train_walking_extra_walking_23.bvh", 1.0),
     "kneeling dance": ("bvh/131_01.bvh", 2.0),
     "basketball": ("bvh_from_expmap/test_basketball_basketball_1.bvh", 0.5),
     "soccer": ("bvh_from_expmap/test_soccer_soccer_1.bvh", 0.5),
-    "traffic": ("bvh_from_expmap/train_directing_traffic_directing_traffic_1.bvh", 4.0),
+    "traffic": ("bvh_from_expmap/train_directing_traffic_directing_traffic_1.bvh", 8.1),
     "squats": ("bvh_from_expmap/train_jumping_jumping_2.bvh", 2.0),
 }
-"""Name: file below the folder of CMU clips, and where the part begins [s]."""
+"""Name: file below the folder of CMU clips, and where the part begins [s]. None of these parts has a jump in it."""
 
 CAMERAS: dict[str, tuple[float, float, float]] = {
     "front": (15.0, 1.4, 0.0),

@@ -141,7 +141,8 @@ def _finish(
     did = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in dressing.conditioner.summary.frames.items())
     print(
         f"{counts['pictures']} pictures, {len(frames)} frames dressed over {how}"
-        f"{f' ({did})' if did else ''}; {counts['pictures'] / record.seconds:.1f} pictures a second, "
+        f"{f' ({did})' if did else ''}; {counts['pictures'] / record.seconds:.1f} pictures a second "
+        f"({1e3 * record.processor / counts['pictures']:.0f} ms of the processor each), "
         f"{1e3 * dressing.conditioner.settings.latency:.0f} ms of latency added"
     )
     if options.out:
@@ -155,8 +156,9 @@ def _notes(video: Video, estimator: Estimator, record: Record) -> list[str]:
     missed = counts["nobody"] + counts["no body"]
     if 0 < missed < counts["pictures"]:
         notes.append(f"nobody was found in {missed} of {counts['pictures']} pictures; the clothes hold, then rest")
-    if record.most_people > 1:
-        notes.append(f"there are {record.most_people} people; only one is followed, the one found first")
+    crowd = [people for people in record.people if people > 1]
+    if len(crowd) > 1:  # once may be a mistake
+        notes.append(f"there are {max(crowd)} people; only one is followed, the one found first")
     if counts["cuts"]:
         notes.append(f"{counts['cuts']} cuts between scenes; each begins anew")
     if counts["jumps"]:
@@ -182,6 +184,7 @@ def _write_record(path: Path, record: Record) -> None:
         frame_poses=np.stack([f.poses for f in frames]),
         frame_transl=np.stack([f.transl for f in frames]),
         seconds=record.seconds,
+        processor=record.processor,
     )
 
 

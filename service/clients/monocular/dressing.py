@@ -99,7 +99,7 @@ class RequestWardrobe:
 def _parts(frames: list[Frame]) -> Iterator[list[Frame]]:
     """Runs of frames that continue each other."""
     starts = [i for i, frame in enumerate(frames) if i == 0 or Did.RESET in frame.did]
-    for start, end in zip(starts, [*starts[1:], len(frames)], strict=True):
+    for start, end in zip(starts, [*starts, len(frames)][1:], strict=True):
         yield frames[start:end]
 
 

@@ -21,6 +21,10 @@ LANDMARKS: Final = (
 """The 33 landmarks of BlazePose in its order (Bazarevsky et al., CVPR workshops 2020)."""
 
 
+_SURE: Final = 0.7
+"""Score above which a detection counts as a person: a face of its own."""
+
+
 @dataclass(frozen=True, eq=False)
 class Landmarks:
     """One person in one picture.
@@ -96,7 +100,8 @@ class PeopleCounter:
         return self._found
 
     def _note(self, _: str, packet: Any) -> None:
-        self._found = len(self._mediapipe.packet_getter.get_proto_list(packet))
+        people = self._mediapipe.packet_getter.get_proto_list(packet)
+        self._found = sum(person.score[0] > _SURE for person in people)
 
     def close(self) -> None:
         """Free the model."""

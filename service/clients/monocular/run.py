@@ -30,9 +30,12 @@ class Record:
 
     estimates: list[Estimate] = field(default_factory=list)
     frames: list[Dressed] = field(default_factory=list)
-    most_people: int = 0
+    people: list[int] = field(default_factory=list)
+    """How many were counted, now and then."""
     seconds: float = 0.0
     """From the first picture to the last one written [s]."""
+    processor: float = 0.0
+    """Of the processor, all threads, meanwhile [s]."""
 
 
 Shown = Callable[[np.ndarray, float], None]
@@ -54,11 +57,11 @@ def run(
     conditioning's latency later. Detection runs in a thread of its own, beside everything else.
     """
     record, waiting = Record(), deque[tuple[Picture, bool]]()
-    started = time.perf_counter()
+    started, processor = time.perf_counter(), time.process_time()
     last_seen = -np.inf
     for picture, seen, is_cut in _detected(video, estimator, seconds):
         if count_people is not None and len(record.estimates) % _COUNT_EVERY == 0:
-            record.most_people = max(record.most_people, count_people(picture.pixels[..., ::-1]))
+            record.people.append(count_people(picture.pixels[..., ::-1]))
         estimate = estimator.estimate(picture, seen, is_cut)
         record.estimates.append(estimate)
         last_seen = picture.time if estimate.poses is not None else last_seen
@@ -67,7 +70,7 @@ def run(
         _show(waiting, record.frames, overlay, show, is_last=False)
     record.frames += dressing.flush()
     _show(waiting, record.frames, overlay, show, is_last=True)
-    record.seconds = time.perf_counter() - started
+    record.seconds, record.processor = time.perf_counter() - started, time.process_time() - processor
     return record
 
 
