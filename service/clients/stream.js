@@ -291,10 +291,10 @@ export class GarmentStream {
       case Kind.WELCOME:
         this.welcome = message;
         this.#wait = 50;
-        this.onstatus("open");
-        this.onwelcome(message);
         for (const { body } of this.#unsaved) this.#socket.send(body);
         if (this.#unsaved.length || this.#asked.length) this.#socket.send(encodeGetState());
+        this.onstatus("open"); // after what was sent before: either of these may send poses
+        this.onwelcome(message);
         break;
       case Kind.MESHES:
         this.skipped = message.skipped;

@@ -1,4 +1,4 @@
-/* built from sources 88c2e04b9ad6f428d874669d2bd08e80a8fbff3a5d160b3541698369dd974b95 */
+/* built from sources 2c7758837db5cdd321707aa1737ae79f73d01714f9ee7ac2034cb8b6e147dd5b */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
