@@ -43,7 +43,7 @@ class Plan:
     """Folder of motion capture; procedural motions unless given."""
     body: str = "fine"
     """Bundled body under the clothes: "medium" or "fine"."""
-    edge_length: float = 0.016
+    edge_length: float = 0.018
     """Target edge length of the simulated garments [m]."""
     simulate: bool = True
     """Drape with the reference solver; else garments just follow the skeleton."""

@@ -77,7 +77,7 @@ def make_subject(
     seed: int,
     upper: Upper | None = None,
     lower: Lower | None = None,
-    edge_length: float = 0.016,
+    edge_length: float = 0.018,
 ) -> Subject:
     """A person drawn from a seed, on the shape space of ``body``, in a mesh of ``edge_length`` [m]."""
     random = np.random.default_rng([seed, 1])
@@ -85,17 +85,21 @@ def make_subject(
     own, displacement = displaced(body, betas, random)
     marks = Landmarks.of(own)
     families = {"lower": _lower(marks, random, lower, edge_length), "upper": _upper(marks, random, upper, edge_length)}
+    garments = {label: make(family, own) for label, family in families.items()}
     return Subject(
         body=own,
         betas=betas,
         displacement=displacement,
-        garments={label: make(family, own) for label, family in families.items()},
-        rough={
-            label: make(replace(family, edge_length=max(ROUGH, edge_length)), own) for label, family in families.items()
-        },
+        garments=garments,
+        rough={label: _rough(family, own, garments[label]) for label, family in families.items()},
         fabrics={label: random_fabric(random) for label in families},
         families=families,
     )
+
+
+def _rough(family: Family, body: BodyModel, fine: Garment) -> Garment:
+    """The same cut in a coarse mesh."""
+    return fine if family.edge_length >= ROUGH else make(replace(family, edge_length=ROUGH), body)
 
 
 def displaced(body: BodyModel, betas: np.ndarray, random: np.random.Generator) -> tuple[BodyModel, np.ndarray]:

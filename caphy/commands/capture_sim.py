@@ -30,7 +30,7 @@ class CaptureSim:
     """Lower garment; drawn from the seed unless given."""
     body: Literal["medium", "fine"] = "fine"
     """Bundled body under the clothes."""
-    edge_length: float = 0.016
+    edge_length: float = 0.018
     """Target edge length of the simulated clothes [m]."""
     simulate: bool = True
     """Drape with the reference solver; --no-simulate lets clothes follow the skeleton, which is quick and wrong."""

@@ -25,17 +25,20 @@ ITERATIONS: Final = 8
 SAMPLES: Final = 20_000
 """Vertices of each scan that the histograms are made of."""
 
+PRIOR_POWER: Final = 0.35
+"""The prior of place counts by this power: initial poses put many places beside the right joint."""
+
 _PRIOR: Final[dict[tuple[str, ...], tuple[float, float, float]]] = {
-    ("head", "jaw", "eye"): (0.97, 0.02, 0.01),
-    ("neck",): (0.60, 0.39, 0.01),
+    ("head", "jaw", "eye"): (0.97, 0.02, 0.0003),
+    ("neck",): (0.60, 0.39, 0.001),
     ("wrist", "index", "middle", "pinky", "ring", "thumb"): (0.95, 0.04, 0.01),
-    ("ankle", "foot"): (0.90, 0.01, 0.09),
-    ("spine2", "spine3", "collar"): (0.08, 0.90, 0.02),
+    ("ankle", "foot"): (0.90, 0.0003, 0.09),
+    ("spine2", "spine3", "collar"): (0.08, 0.90, 0.005),
     ("spine1",): (0.04, 0.80, 0.16),
     ("pelvis",): (0.04, 0.36, 0.60),
     ("hip",): (0.10, 0.10, 0.80),
-    ("knee",): (0.40, 0.02, 0.58),
-    ("shoulder",): (0.30, 0.69, 0.01),
+    ("knee",): (0.40, 0.001, 0.58),
+    ("shoulder",): (0.30, 0.69, 0.001),
     ("elbow",): (0.65, 0.34, 0.01),
 }
 """How likely body, upper and lower garment are at a place that moves with each joint; for everyday clothes."""
@@ -135,5 +138,5 @@ def _histograms(place: np.ndarray, held: np.ndarray) -> np.ndarray:
 
 
 def _posterior(prior: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
-    both = prior * likelihood
+    both = prior**PRIOR_POWER * likelihood
     return both / both.sum(axis=1, keepdims=True)

@@ -81,9 +81,7 @@ def scan_views(scan: Scan, size: tuple[int, int] = SIZE) -> Iterator[ScanView]:
     width, height = size
     for ring, (elevation, count) in enumerate(RINGS):
         for number in range(count):
-            camera = Camera.framing(
-                scan.vertices, 360 / count * (number + 0.5 * ring), elevation, aspect=width / height
-            )
+            camera = Camera.framing(scan.vertices, 360 / count * (number + ring / 3), elevation, aspect=width / height)
             rays = camera.rays(width, height).astype(np.float32)
             origin = np.broadcast_to(np.asarray(camera.eye, np.float32), rays.shape)
             found = caster.run(np.ascontiguousarray(origin), rays, output=True)

@@ -1,0 +1,145 @@
+"""The virtual rig: its scans show the true surfaces, and only those that cameras can see; sessions go on."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+from small_session import PLAN, small_session
+
+from caphy.body.bundled import default_body
+from caphy.capture.drape import Dresser
+from caphy.capture.fusion import _noise
+from caphy.capture.session import capture, read_subject
+from caphy.capture.subject import make_subject
+from caphy.errors import CaphyError
+from caphy.io.poses import read_poses
+
+NAMES = ("body", "upper", "lower")
+
+
+@pytest.fixture(scope="module")
+def session():
+    return small_session()
+
+
+@pytest.fixture(scope="module")
+def subject(session):
+    return read_subject(session / "truth")
+
+
+def _scan(session, index):
+    mesh = trimesh.load(session / "scans" / f"scan_{index:03d}.ply", process=False)
+    return mesh, dict(np.load(session / "truth" / "stills" / f"scan_{index:03d}.npz"))
+
+
+def _dense(vertices, faces):
+    """Many points on a surface, by trimesh."""
+    return trimesh.sample.sample_surface_even(trimesh.Trimesh(vertices, faces, process=False), 60_000, seed=0)[0]
+
+
+def _clouds(subject, still):
+    faces = {"body": subject.body.faces, **{label: g.faces for label, g in subject.garments.items()}}
+    return {name: _dense(still[name].astype(float), faces[name]) for name in NAMES}
+
+
+def test_scans_lie_on_the_true_surfaces(session, subject):
+    mesh, still = _scan(session, 1)
+    clouds = _clouds(subject, still)
+    distance = KDTree(np.concatenate(list(clouds.values()))).query(mesh.vertices)[0]
+    assert np.median(distance) < 0.004  # a voxel is 12 mm, samples lie about 5 mm apart
+    assert np.quantile(distance, 0.98) < 0.012
+
+
+def test_labels_kept_aside_tell_which_surface_a_vertex_shows(session, subject):
+    mesh, still = _scan(session, 1)
+    gap = np.stack([KDTree(cloud).query(mesh.vertices)[0] for cloud in _clouds(subject, still).values()])
+    clear = np.sort(gap, axis=0)[1] > np.sort(gap, axis=0)[0] + 0.015
+    assert clear.sum() > 2000
+    assert (gap.argmin(axis=0) == still["labels"])[clear].mean() > 0.98
+
+
+def test_what_clothes_cover_is_not_in_a_scan(session, subject):
+    mesh, still = _scan(session, 0)
+    cloth = KDTree(np.concatenate([_clouds(subject, still)[name] for name in NAMES[1:]]))
+    hips = subject.body.weights[:, [0, 3]].sum(axis=1) > 0.8  # pelvis and lowest spine: under shirt and shorts
+    body = still["body"][hips].astype(float)
+    covered = body[cloth.query(body)[0] > 0.012]
+    assert len(covered) > 10
+    assert (KDTree(mesh.vertices).query(covered)[0] > 0.007).mean() > 0.9
+
+
+def test_scans_have_holes_and_are_no_copies_of_the_meshes(session):
+    mesh, still = _scan(session, 2)
+    assert not mesh.is_watertight
+    assert len(mesh.vertices) != sum(len(still[name]) for name in NAMES)
+    assert np.ptp(mesh.visual.vertex_colors[:, :3], axis=0).min() > 50
+
+
+def test_noise_has_the_size_asked_for():
+    sphere = trimesh.creation.icosphere(4)
+    moved = _noise(sphere.vertices, sphere.faces, 0.001, np.random.default_rng(0))
+    assert moved.std(axis=0) == pytest.approx(0.001, rel=0.1)
+
+
+def test_initial_poses_are_off_by_twenty_degrees(session):
+    true, given = read_poses(session / "truth" / "poses.npz"), read_poses(session / "scans" / "poses.npz")
+    between = (Rotation.from_rotvec(true.poses[:, :22].reshape(-1, 3)).inv()) * Rotation.from_rotvec(
+        given.poses[:, :22].reshape(-1, 3)
+    )
+    assert np.degrees(between.magnitude()) == pytest.approx(20, abs=1e-6)
+
+
+def test_everybody_stands_on_the_ground_over_the_origin(session, subject):
+    poses = read_poses(session / "truth" / "poses.npz")
+    vertices = subject.body.pose(poses.poses, poses.transl)
+    assert vertices[..., 1].min(axis=1) == pytest.approx(0, abs=1e-9)
+    assert subject.body.posed_joints(poses.poses, poses.transl)[:, 0, [0, 2]] == pytest.approx(0, abs=1e-9)
+
+
+def test_the_body_is_nobody_s_shape_exactly(subject):
+    shape = default_body("medium").rest(subject.betas)[0]
+    assert subject.body.v_template == pytest.approx(shape + subject.displacement, abs=1e-6)
+    size = np.linalg.norm(subject.displacement, axis=1)
+    assert 0.001 < size.mean() < 0.01
+    assert size.max() < 0.016
+
+
+def test_a_session_goes_on_where_it_was_stopped(session, tmp_path):
+    again = tmp_path / "again"
+    shutil.copytree(session, again)
+    lost, kept = again / "scans" / "scan_003.ply", again / "scans" / "scan_004.ply"
+    before, stamp = lost.read_bytes(), kept.stat().st_mtime_ns
+    lost.unlink()
+    told = []
+    capture(PLAN, again, lambda done, total, seconds, report: told.append((done, total)))
+    assert told == [(4, 6)]
+    assert lost.read_bytes() == before
+    assert kept.stat().st_mtime_ns == stamp
+
+
+def test_another_session_in_the_same_folder_is_refused(session):
+    with pytest.raises(CaphyError, match="holds another session"):
+        capture(replace(PLAN, seed=6), session)
+
+
+def test_simulated_cloth_is_at_rest_outside_the_body(session):
+    body = default_body("medium")
+    subject = make_subject(body, 5, "tank", "skirt", edge_length=0.045)
+    only = replace(subject, garments={"lower": subject.garments["lower"]})
+    poses = read_poses(session / "truth" / "poses.npz")[:1]
+    dresser = Dresser(only, poses)
+    cloth, report = dresser.dressed(0)
+    posed = trimesh.Trimesh(subject.body.pose(poses.poses, poses.transl)[0], body.faces, process=False)
+    assert report["lower"]["residual_N"] < 2e-3
+    inside = posed.contains(cloth["lower"])
+    assert inside.mean() < 0.01
+    template = only.garments["lower"].vertices
+    hem = template[:, 1] < template[:, 1].min() + 0.02
+    skinned = Dresser(only, poses, simulate=False).dressed(0)[0]["lower"]
+    assert np.linalg.norm(cloth["lower"] - skinned, axis=1)[hem].mean() > 0.005  # it hangs, and is not just carried

@@ -1,0 +1,87 @@
+"""4D-DRESS's layout: pickles of arrays become a scan set; anything else in them is refused."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+import trimesh
+
+from caphy.errors import CaphyError
+from caphy.scan.dress4d import convert_take
+from caphy.scan.scan import BODY, LOWER, UPPER
+from caphy.scan.scan_set import ScanSet
+
+BOX = trimesh.creation.box((0.4, 1.7, 0.3)).subdivide()
+
+
+def _dump(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(pickle.dumps(content))
+
+
+def _take(folder, frames=("00011", "00012")):
+    """A take as published: meshes with uvs, textures, labels, SMPL-X."""
+    random = np.random.default_rng(0)
+    count = len(BOX.vertices)
+    texture = np.zeros((8, 8, 3), np.uint8)
+    texture[:, :4], texture[:4, 4:], texture[4:, 4:] = (10, 20, 30), (40, 50, 60), (70, 80, 90)
+    uvs = np.tile([[0.1, 0.5], [0.9, 0.9], [0.9, 0.1]], (count, 1))[:count]
+    for frame in frames:
+        mesh = {"vertices": np.array(BOX.vertices), "faces": np.array(BOX.faces), "uvs": uvs}
+        _dump(folder / "Meshes_pkl" / f"mesh-f{frame}.pkl", mesh | {"normals": np.array(BOX.vertex_normals)})
+        _dump(folder / "Meshes_pkl" / f"atlas-f{frame}.pkl", texture)
+        _dump(folder / "Semantic" / "labels" / f"label-f{frame}.pkl", {"scan_labels": np.arange(count) % 6})
+        body = {"global_orient": random.normal(size=3), "body_pose": random.normal(size=63), "transl": np.ones(3)}
+        body |= {"betas": np.zeros(10), "jaw_pose": np.zeros(3), "left_hand_pose": np.zeros(12)}
+        _dump(folder / "SMPLX" / f"mesh-f{frame}_smplx.pkl", body)
+    return folder
+
+
+def test_a_take_becomes_a_scan_set(tmp_path):
+    take = _take(tmp_path / "Take1")
+    scans = convert_take(take, tmp_path / "set")
+    assert scans.names == ("f00011", "f00012")
+    scan = ScanSet.read(tmp_path / "set")[1]
+    assert scan.vertices == pytest.approx(np.array(BOX.vertices), abs=1e-6)
+    assert np.array_equal(
+        scan.labels, np.array([BODY, BODY, BODY, UPPER, LOWER, UPPER])[np.arange(len(scan.labels)) % 6]
+    )
+    assert [list(c) for c in scan.colours[:3]] == [[10, 20, 30], [40, 50, 60], [70, 80, 90]]  # v is up in a texture
+    given = pickle.loads((take / "SMPLX" / "mesh-f00012_smplx.pkl").read_bytes())
+    assert scan.pose[0] == pytest.approx(given["global_orient"])
+    assert scan.pose[1:22].ravel() == pytest.approx(given["body_pose"])
+    assert scan.transl == pytest.approx(1)
+
+
+def test_every_other_frame(tmp_path):
+    take = _take(tmp_path / "Take1", ("00001", "00002", "00003"))
+    assert convert_take(take, tmp_path / "set", every=2).names == ("f00001", "f00003")
+
+
+class _Evil:
+    def __reduce__(self):
+        return print, ("run",)
+
+
+def test_a_pickle_that_asks_for_code_is_left_out_and_never_run(tmp_path, capsys):
+    take = _take(tmp_path / "Take1")
+    _dump(take / "Meshes_pkl" / "mesh-f00011.pkl", _Evil())
+    told = []
+    assert convert_take(take, tmp_path / "set", say=told.append).names == ("f00012",)
+    assert "not on the list of harmless names" in told[0]
+    assert capsys.readouterr().out == ""
+
+
+def test_labels_of_another_mesh_are_left_out(tmp_path):
+    take = _take(tmp_path / "Take1")
+    _dump(take / "Semantic" / "labels" / "label-f00012.pkl", {"scan_labels": np.zeros(3, int)})
+    told = []
+    assert convert_take(take, tmp_path / "set", say=told.append).names == ("f00011",)
+    assert "labels must have shape" in told[0]
+
+
+def test_what_is_no_take(tmp_path):
+    with pytest.raises(CaphyError, match="holds no Meshes_pkl"):
+        convert_take(tmp_path, tmp_path / "set")

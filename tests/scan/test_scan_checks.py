@@ -1,0 +1,135 @@
+"""Checks of scans: each fault is found, named and comes with a remedy; sound scans pass."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+
+from caphy.body.bundled import default_body
+from caphy.capture.poses import a_pose
+from caphy.errors import CaphyError
+from caphy.scan.checks import check_scan, check_set, usable
+from caphy.scan.scan import LOWER, UNKNOWN, UPPER, Scan
+from caphy.scan.scan_set import ScanSet, write_scan_set
+
+
+@cache
+def _person():
+    """A person in A-pose, painted and labelled by height: vertices, faces, colours, labels."""
+    body = default_body("medium")
+    vertices = body.pose(a_pose()[None])[0]
+    height = vertices[:, 1]
+    labels = np.where(height > 0.4, 0, np.where(height > -0.05, UPPER, LOWER)).astype(np.uint8)
+    labels[height < -0.7] = 0
+    colours = np.array([(200, 160, 140), (40, 60, 130), (90, 30, 30)], np.uint8)[labels]
+    return vertices, body.faces, colours, labels
+
+
+def _scan(**changed):
+    vertices, faces, colours, labels = _person()
+    return Scan(**({"name": "p", "vertices": vertices, "faces": faces, "colours": colours, "labels": labels} | changed))
+
+
+def _beside(mesh: trimesh.Trimesh):
+    """The person and another mesh in one scan."""
+    vertices, faces, _, _ = _person()
+    both = trimesh.util.concatenate([trimesh.Trimesh(vertices, faces, process=False), mesh])
+    return _scan(vertices=np.array(both.vertices), faces=np.array(both.faces), colours=None, labels=None)
+
+
+def _floor():
+    vertices = _person()[0]
+    x, z = np.meshgrid(np.linspace(-0.5, 0.5, 11), np.linspace(-0.5, 0.5, 11))
+    points = np.stack([x.ravel(), np.full(x.size, vertices[:, 1].min()), z.ravel()], axis=1)
+    a = (np.arange(10)[:, None] * 11 + np.arange(10)).ravel()
+    tiles = np.concatenate([np.stack([a, a + 11, a + 1], 1), np.stack([a + 1, a + 11, a + 12], 1)])
+    return _beside(trimesh.Trimesh(points, tiles, process=False))
+
+
+def _twin():
+    vertices, faces, _, _ = _person()
+    return _beside(trimesh.Trimesh(vertices + np.array([0.9, 0, 0]), faces, process=False))
+
+
+def _soup():
+    vertices, faces, _, _ = _person()
+    return _scan(
+        vertices=vertices[faces.ravel()], faces=np.arange(3 * len(faces)).reshape(-1, 3), colours=None, labels=None
+    )
+
+
+def _holed():
+    _, faces, _, _ = _person()
+    return _scan(faces=faces[np.random.default_rng(0).random(len(faces)) > 0.05])
+
+
+FAULTS = {
+    "millimetres": (lambda: _scan(vertices=1000 * _person()[0]), True, 'try unit = "mm"'),
+    "flipped": (lambda: _scan(faces=_person()[1][:, ::-1]), True, "triangles face inward"),
+    "floor": (_floor, True, "m2 of floor; cut away"),
+    "two people": (_twin, True, "two large pieces"),
+    "soup": (_soup, True, "merge vertices"),
+    "holes": (_holed, False, "has many holes"),
+    "empty labels": (lambda: _scan(labels=np.full(len(_person()[0]), UNKNOWN, np.uint8)), True, "labels are empty"),
+    "no clothes": (lambda: _scan(labels=np.zeros(len(_person()[0]), np.uint8)), True, "shows no clothes"),
+    "no trousers": (lambda: _scan(labels=np.where(_person()[3] == LOWER, 0, _person()[3])), False, "shows no lower"),
+    "no colours": (lambda: _scan(colours=None), False, "has no colours"),
+}
+
+
+def test_a_sound_scan_passes():
+    assert check_scan(_scan()) == []
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_is_named(fault):
+    make, severe, words = FAULTS[fault]
+    found = check_scan(make())
+    assert any(words in finding.message and finding.severe == severe for finding in found), found
+    assert all(finding.severe == severe for finding in found if words in finding.message)
+
+
+def _set(folder, scans):
+    return write_scan_set(folder, scans, "somebody")
+
+
+def test_a_stranger_among_the_scans_is_refused_and_the_others_stay(tmp_path):
+    other = 255 - _person()[2]
+    scans = [_scan(name=f"s{i}") for i in range(5)] + [_scan(name="stranger", colours=other)]
+    scans = _set(tmp_path / "set", scans)
+    findings = check_set(scans)
+    assert [(f.scan, f.severe) for f in findings] == [("stranger", True)]
+    assert "is it another person" in findings[0].message
+    assert [scans.names[i] for i in usable(scans, findings)] == [f"s{i}" for i in range(5)]
+
+
+def test_somebody_of_another_size_is_remarked_on(tmp_path):
+    scans = [_scan(name=f"s{i}") for i in range(5)] + [_scan(name="child", vertices=0.75 * _person()[0])]
+    findings = check_set(_set(tmp_path / "set", scans))
+    assert [f.scan for f in findings] == ["child"]
+    assert "is it another person" in findings[0].message
+
+
+def test_a_set_that_lies_is_asked_for_its_up_axis(tmp_path):
+    lying = _person()[0] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # y to z
+    _set(tmp_path / "set", [_scan(name=f"s{i}", vertices=lying) for i in range(2)])
+    findings = check_set(ScanSet.read(tmp_path / "set"))
+    assert len(findings) == 2
+    assert 'try up_axis = "z" or "-z"' in findings[0].message
+
+
+def test_an_unreadable_scan_costs_only_itself(tmp_path):
+    scans = _set(tmp_path / "set", [_scan(name=f"s{i}") for i in range(3)])
+    scans.files[1].write_bytes(b"ply\nnonsense")
+    findings = check_set(scans)
+    assert [(f.scan, f.severe) for f in findings] == [("s1", True)]
+    assert usable(scans, findings) == [0, 2]
+
+
+def test_a_set_without_a_usable_scan_is_an_error(tmp_path):
+    scans = _set(tmp_path / "set", [_scan(name="only", labels=np.zeros(len(_person()[0]), np.uint8))])
+    with pytest.raises(CaphyError, match="no scan can be used; the first: only: shows no clothes"):
+        usable(scans, check_set(scans))

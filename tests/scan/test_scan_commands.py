@@ -1,0 +1,63 @@
+"""The commands: segment a session, go on where it stopped, leave out what cannot be read; check and convert."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from small_session import small_session
+
+from caphy.cli import main
+from caphy.scan.scan_set import ScanSet
+
+
+@pytest.fixture
+def scans(tmp_path):
+    """A copy of three scans of the small session; the second is damaged."""
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    session = small_session() / "scans"
+    for name in ("scan_000", "scan_001", "scan_002"):
+        shutil.copy(session / f"{name}.ply", folder)
+    (folder / "scan_001.ply").write_bytes(b"ply\nnonsense")
+    (folder / "scans.toml").write_text('unit = "m"\nup_axis = "y"\n')
+    return folder
+
+
+def test_segment_leaves_out_what_it_cannot_read_and_resumes(scans, tmp_path, capsys):
+    assert main(["segment", str(scans), "--render", str(tmp_path / "sheet.png")]) == 1
+    said = capsys.readouterr().out
+    assert "left out scan_001" in said
+    assert "labels of 2 of 3 scans" in said
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
+    truth = np.load(small_session() / "truth" / "stills" / "scan_000.npz")["labels"]
+    labels = ScanSet.read(scans)[0].labels
+    assert (labels == truth).mean() > 0.85  # without poses: from height and colour alone
+    stamp = (scans / "labels" / "scan_000.npy").stat().st_mtime_ns
+    shutil.copy(small_session() / "scans" / "scan_001.ply", scans)
+    assert main(["segment", str(scans)]) == 0
+    assert "labels of 3 of 3 scans" in capsys.readouterr().out
+    assert (scans / "labels" / "scan_000.npy").stat().st_mtime_ns == stamp
+
+
+def test_check_tells_which_scans_can_be_used(scans, capsys):
+    assert main(["scans", "check", str(scans)]) == 1
+    said = capsys.readouterr().out
+    assert "refused: scan_001" in said
+    assert "2 of 3 scans can be used" in said
+
+
+def test_labels_that_are_not_there(scans, capsys):
+    assert main(["segment", str(scans), "--parser", "labels"]) == 2
+    assert "no scan could be segmented" in capsys.readouterr().err
+
+
+def test_a_parser_that_is_not_there(scans, capsys):
+    assert main(["segment", str(scans), "--parser", "nobody.onnx"]) == 2
+    assert "there is no such file; give a human parser" in capsys.readouterr().err
+
+
+def test_capture_needs_a_folder_of_poses(tmp_path, capsys):
+    assert main(["capture-sim", str(tmp_path / "out"), "--poses", str(tmp_path / "none")]) == 2
+    assert "--poses must be a folder" in capsys.readouterr().err
