@@ -23,6 +23,10 @@ from caphy.conventions import BODY_JOINT_COUNT, JOINT_COUNT
 SURE: Final = 1 / 30
 """Precision of a fully trusted sample [s]: 30 of them make a second."""
 CLOSE: Final = 1e-6
+LEAST_STEP: Final = 0.0005
+"""Time stamps that differ by less are the same [s]."""
+LATEST: Final = 1e11
+"""Beyond it time stamps no longer resolve a frame [s]."""
 CUT_DISTANCE: Final = 0.75
 """A root that is found so far from where it was held is put there at once [m] ..."""
 CUT_TURN: Final = np.radians(75.0)
@@ -69,7 +73,7 @@ class Conditioner:
         """
         poses, transl, trust = checked(poses, transl, confidence)
         self.summary.received += 1
-        if not np.isfinite(time) or time <= self._time:
+        if not abs(time) <= LATEST or time < self._time + LEAST_STEP:
             self._refuse(f"its time stamp {time:g} s does not come after {self._time:g} s", "time stamp")
             return []
         self._skip(float(time))

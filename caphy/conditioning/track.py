@@ -14,6 +14,8 @@ SAMPLES: Final = 16
 """Most samples that are kept: at 30 per second and the default stiffness the 16th before weighs nothing."""
 COAST: Final = 0.08
 """Time over which a joint that is no longer seen comes to a stop [s]."""
+STOOD: Final = 0.1
+"""How long a body is taken to have stood before it was first seen [s]."""
 NEVER: Final = -np.inf
 
 
@@ -30,6 +32,7 @@ class Track:
         self._times = np.zeros(0)
         self._samples = np.zeros((0, *first.shape))
         self._trust = np.zeros((0, channels))
+        self._still = np.zeros(channels, bool)
         self.last = np.full(channels, NEVER)
         """When each channel was last seen (C,) [s]."""
         self._reference = first
@@ -40,6 +43,7 @@ class Track:
         self._times = np.append(self._times[keep], time)
         self._samples = np.concatenate([self._samples[keep], sample[None]])
         self._trust = np.concatenate([self._trust[keep], trust[None]])
+        self._still = np.all(self._samples == sample, axis=(0, 2)) & (trust > 0)
         self.last = np.where(trust > 0, time, self.last)
         self._reference = np.where((self.last == NEVER)[:, None], sample, self._reference)
 
@@ -50,6 +54,8 @@ class Track:
     def at(self, time: float) -> np.ndarray:
         """The smooth value of every channel; one that was never seen keeps its first value."""
         value = self._reference.copy()
+        if len(self._times):
+            value[self._still] = self._samples[-1][self._still]
         for channels, samples, weights in self._groups(time):
             value[channels] = self._mixed(value[channels], self._samples[samples][:, channels], weights)
         return value
@@ -63,18 +69,25 @@ class Track:
         if not len(self._times):
             return
         seen: dict[bytes, list[int]] = {}
-        for channel, column in enumerate(np.ascontiguousarray(self._trust.T)):
-            seen.setdefault(column.tobytes(), []).append(channel)
+        columns = np.ascontiguousarray(self._trust.T)
+        for channel in np.flatnonzero(~self._still).tolist():  # fingers mostly rest, and need no curve
+            seen.setdefault(columns[channel].tobytes(), []).append(channel)
         for channels in seen.values():
             trust = self._trust[:, channels[0]]
             (samples,) = np.nonzero(trust)
             if not len(samples):
                 continue
-            times = self._times[samples]
-            weights = spline_weights(
-                times, self._precision * trust[samples], self._stiffness, _coasting(time, times[-1])
-            )
+            weights = self._weights(self._times[samples], self._precision * trust[samples], time)
             yield np.array(channels), samples, weights
+
+    def _weights(self, times: np.ndarray, precision: np.ndarray, time: float) -> np.ndarray:
+        """The samples' weights at ``time``, as if the first had been there a moment before, too: of a body that begins
+        to be seen nobody knows the velocity, and standing is the calmest guess. Sixteen samples later it is nothing."""
+        times = np.concatenate([[times[0] - STOOD], times])
+        precision = np.concatenate([[self._precision], precision])
+        weights = spline_weights(times, precision, self._stiffness, _coasting(time, times[-1]))
+        weights[1] += weights[0]
+        return weights[1:]
 
     def _mixed(self, reference: np.ndarray, samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
         raise NotImplementedError
