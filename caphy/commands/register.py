@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from caphy.commands.body import load_body
-from caphy.commands.compare import Progress
 from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
@@ -20,6 +19,10 @@ if TYPE_CHECKING:
     from caphy.register.fit import BodyFit, Taken
     from caphy.scan.scan import Scan
     from caphy.scan.scan_set import ScanSet
+
+
+KEPT_POINTS = 24_000
+"""Points of each scan kept in memory while all are fitted."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +84,10 @@ def _body(command: Body) -> None:
 
     body, scans = load_body(command.body), ScanSet.read(command.scans, command.labels)
     unread: dict[str, str] = {}
-    taken = [scan for _, scan in _taken(scans, body, unread)]
+    taken = list(_taken(scans, body, unread))
     if not taken:
         raise CaphyError("\n".join(["none of the scans can be used:", *unread.values()]))
-    with Progress(scans.name) as progress:
+    with Progress() as progress:
         fit = fit_bodies(body, taken, Store(command.output), progress)
     fit.failures.update(unread)
     write_fit(fit, command.output, command.body)
@@ -99,15 +102,38 @@ def _body(command: Body) -> None:
     print(command.output / "body.npz")
 
 
-def _taken(scans: ScanSet, body: BodyModel, unread: dict[str, str]) -> Iterator[tuple[int, Taken]]:
-    """Scans by number; what cannot be used goes into ``unread`` and the rest goes on."""
+class Progress:
+    """A bar with an estimate of the time left for each part of the work, on the error stream."""
+
+    def __init__(self) -> None:
+        self._bar, self._what = None, ""
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        from tqdm import tqdm
+
+        if what != self._what:
+            self.__exit__()
+            self._bar, self._what = tqdm(total=total, desc=what, leave=False), what
+        if self._bar is not None:
+            self._bar.update(done - self._bar.n)
+
+
+def _taken(scans: ScanSet, body: BodyModel, unread: dict[str, str]) -> Iterator[Taken]:
+    """What can be fitted; what cannot be used goes into ``unread`` and the rest goes on."""
     from caphy.register.cloud import Cloud
     from caphy.register.fit import Taken
 
     for i, name in enumerate(scans.names):
         try:
             scan = scans[i]
-            yield i, Taken(Cloud.of(scan), _start(scan, scans, body))
+            yield Taken(Cloud.of(scan).thinned(KEPT_POINTS), _start(scan, scans, body))
         except CaphyError as error:
             unread[name] = str(error)
 
@@ -167,7 +193,7 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
         garment, told = linear_garment(style, linear, fit.figure, kind), {"coefficients": linear.coefficients.tolist()}
         distance, looked_at = linear.distance, linear.looked_at
     else:
-        with Progress(kind) as progress:
+        with Progress() as progress:
             choice = choose(fit.figure, targets, kind, progress)
         garment, told = made(choice, fit.figure), asdict(choice.style) | {"families": dict(choice.runners_up)}
         distance, looked_at = choice.distance, choice.looked_at

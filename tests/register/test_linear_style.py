@@ -1,0 +1,60 @@
+"""A linear style basis whose coefficients are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dressed_scans import GARMENTS, Subject, look
+
+from caphy.body.bundled import default_body
+from caphy.errors import CaphyError
+from caphy.garment.template import Garment
+from caphy.register.articulation import Figure
+from caphy.register.chamfer import Target
+from caphy.register.cloud import Cloud
+from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
+from caphy.register.starts import plain_poses
+
+
+@pytest.fixture
+def basis(tmp_path):
+    """Trousers that can be longer (first coefficient) and wider (second)."""
+    garment = Garment.load(GARMENTS / "trousers.npz")
+    x, y, _ = garment.vertices.T
+    below = np.clip(0.0 - y, 0, None)
+    longer = np.stack([0 * y, -0.10 * below / below.max(), 0 * y], axis=1)
+    middle = np.sign(x) * 0.11
+    wider = 0.02 * (below > 0)[:, None] * np.stack([np.sign(x - middle), 0 * x, 0 * x], axis=1)
+    path = tmp_path / "trousers_basis.npz"
+    np.savez(path, mean=garment.vertices, components=np.stack([longer, wider]), faces=garment.faces)
+    return path
+
+
+def test_coefficients_of_a_basis_come_back(basis):
+    style, body = LinearStyle.load(basis), default_body()
+    true = np.array([-1.2, 0.4])
+    worn = Garment(**{**vars(Garment.load(GARMENTS / "trousers.npz")), "vertices": style.vertices(true)})
+    person = Subject(body, np.zeros(10), np.zeros_like(body.v_template), [worn])
+    place = plain_poses()[1]
+    sight = look(person, place.pose, place.transl, 0, 6000)
+    cloud = Cloud("scan", sight.points, sight.normals, np.where(sight.labels == 1, 2, sight.labels))
+    figure = Figure.of(body)
+    choice = choose_linear(style, figure, [Target.of(cloud, figure.placed(place), "lower")], count=120)
+    assert abs(choice.coefficients[0] - true[0]) < 0.15  # 1.5 cm of leg
+    garment = linear_garment(style, choice, figure, "lower")
+    np.testing.assert_allclose(garment.vertices, style.vertices(choice.coefficients))
+    assert garment.attached.max() == 1.0
+
+
+def test_a_damaged_basis_says_what_it_needs(basis, tmp_path):
+    arrays = dict(np.load(basis))
+    damaged = tmp_path / "bad.npz"
+    np.savez(damaged, mean=arrays["mean"], faces=arrays["faces"])
+    with pytest.raises(CaphyError, match=r"bad\.npz.*components missing"):
+        LinearStyle.load(damaged)
+    np.savez(damaged, **{**arrays, "components": arrays["components"].transpose(1, 0, 2)})
+    with pytest.raises(CaphyError, match="coefficient, vertex, axis"):
+        LinearStyle.load(damaged)
+    np.savez(damaged, **{**arrays, "faces": arrays["faces"] + 10**6})
+    with pytest.raises(CaphyError, match="faces"):
+        LinearStyle.load(damaged)

@@ -1,0 +1,79 @@
+"""``caphy register`` on a folder of scans, one of them spoilt."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+from dressed_scans import GARMENTS, disturbed, subject, visible
+
+from caphy.body.bundled import default_body
+from caphy.cli import main
+from caphy.garment.template import Garment
+from caphy.io.poses import PoseSequence
+from caphy.io.procedural import procedural_motion
+from caphy.register.linear_style import choose_linear
+from caphy.register.result import read_fit
+from caphy.report.render import vertex_normals
+from caphy.scan.scan import Scan
+from caphy.scan.scan_set import write_scan_set
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two meshes of what is visible of a dressed person, and one without labels."""
+    folder = tmp_path_factory.mktemp("scans")
+    person, motion, rng = subject(5), procedural_motion(2, 6.0, 2.0), np.random.default_rng(0)
+    poses, scans = motion.poses[[3, 8, 8]], []
+    for i, pose in enumerate(poses):
+        skin = person.naked(pose[None], np.array([[0.0, 1.0, 0.0]]))[0]
+        transforms = person.body.transforms(pose[None], person.betas)[0]
+        meshes = [(skin, person.body.faces)]
+        for garment in person.garments:
+            blend = np.tensordot(garment.weights, transforms, axes=1)
+            vertices = np.einsum("vij,vj->vi", blend[..., :3], garment.vertices) + blend[..., 3] + [0.0, 1.0, 0.0]
+            meshes.append((vertices, garment.faces))
+        starts = np.cumsum([0, *(len(v) for v, _ in meshes)])
+        vertices = np.concatenate([v for v, _ in meshes])
+        faces = np.concatenate([f + s for (_, f), s in zip(meshes, starts[:-1], strict=True)])
+        labels = np.repeat(np.arange(3), np.diff(starts)).astype(np.uint8)
+        seen = visible(vertices, vertex_normals(vertices, faces), meshes)
+        faces = faces[seen[faces].all(axis=1)]
+        scans.append(Scan(f"scan{i}", vertices, faces, labels=None if i == 2 else labels))
+    starts = np.stack([disturbed(pose, 15.0, rng) for pose in poses])
+    sequence = PoseSequence(starts, np.tile([0.0, 1.0, 0.0], (3, 1)), 1.0, pelvis=person.body.joints[0])
+    write_scan_set(folder, scans, "somebody", sequence)
+    return folder
+
+
+def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("caphy.register.fit.ROUNDS", 11)
+    run = tmp_path / "run"
+    assert main(["register", "body", str(folder), "-o", str(run), "--pictures", "1"]) == 0
+    told = capsys.readouterr().out
+    assert "2 of 3 scans fitted" in told and "scan2.ply: has no labels" in told
+    document = json.loads((run / "body.json").read_text())
+    assert list(document["scans"]) == ["scan0", "scan1"] and list(document["left_out"]) == ["scan2"]
+    assert document["scans"]["scan0"]["skin_mean"] < 0.005
+    assert read_fit(run / "body.npz", default_body()).vertices(0).shape == default_body().v_template.shape
+    assert (run / "body.png").stat().st_size > 10_000
+
+    garment = Garment.load(GARMENTS / "trousers.npz")
+    basis = tmp_path / "wide.npz"
+    np.savez(
+        basis, mean=garment.vertices, components=0.02 * garment.vertices[None] * [1.0, 0.0, 1.0], faces=garment.faces
+    )
+    monkeypatch.setattr("caphy.register.linear_style.choose_linear", partial(choose_linear, count=5))
+    command = ["register", "garments", str(folder), "-o", str(run), "--kinds", "lower", "--lower-basis", str(basis)]
+    assert main(command) == 0
+    assert Garment.load(run / "lower.npz").name == "wide"
+    assert json.loads((run / "garments.json").read_text())["lower"]["looked_at"] == 5
+
+
+def test_nothing_to_fit_is_an_error_in_words(folder, tmp_path, capsys):
+    assert main(["register", "body", str(folder / "none"), "-o", str(tmp_path)]) == 2
+    assert "scans.toml" in capsys.readouterr().err
+    assert main(["register", "garments", str(folder), "-o", str(tmp_path)]) == 2
+    assert "body.npz" in capsys.readouterr().err

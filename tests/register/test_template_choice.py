@@ -1,0 +1,99 @@
+"""Template selection against garments whose lengths are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dressed_scans import GARMENTS, Subject, look
+
+from caphy.body.bundled import default_body
+from caphy.errors import CaphyError
+from caphy.garment.families import FAMILIES, Trousers
+from caphy.garment.landmarks import Landmarks
+from caphy.garment.template import Garment
+from caphy.register import template
+from caphy.register.articulation import Figure
+from caphy.register.chamfer import Target
+from caphy.register.cloud import Cloud
+from caphy.register.fit import quiet
+from caphy.register.starts import plain_poses
+from caphy.register.styles import EASES, KINDS, Sheet, longest, ranges, styles_of
+
+CHOSEN_FROM = {"upper": ("tshirt", "tank"), "lower": ("trousers", "shorts")}
+"""Families of this test; all six take a minute."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The bundled T-shirt and trousers, made with the default lengths of the mean body, in an A-pose."""
+    body = default_body()
+    garments = [Garment.load(GARMENTS / f"{name}.npz") for name in ("tshirt", "trousers")]
+    person = Subject(body, np.zeros(10), np.zeros_like(body.v_template), garments)
+    place = plain_poses()[1]
+    sight = look(person, place.pose, place.transl, 0, 12000)
+    return Cloud("a_pose", sight.points, sight.normals, sight.labels), Figure.of(body).placed(place)
+
+
+@pytest.mark.parametrize("kind", ["upper", "lower"])
+def test_family_and_lengths_come_back(scene, kind, monkeypatch):
+    monkeypatch.setattr(template, "KINDS", CHOSEN_FROM)
+    monkeypatch.setattr(template, "EASES", {name: EASES[name][:1] for name in EASES})
+    monkeypatch.setattr(template, "EASE_STEPS", {})
+    cloud, placed = scene
+    marks = Landmarks.of(default_body())
+    choice = template.choose(placed.figure, [Target.of(cloud, placed, kind)], kind, quiet)
+    assert choice.looked_at >= 300
+    assert choice.style.family == {"upper": "tshirt", "lower": "trousers"}[kind]
+    arm = np.linalg.norm(marks.joint("left_wrist") - marks.joint("left_shoulder"))
+    true = {
+        "sleeve": 0.4 * arm,
+        "length": marks.joint("neck")[1] - marks.crotch - 0.03,
+        "leg": 0.92 * (marks.crotch - marks.joint("left_ankle")[1]),
+    }
+    for name, value in true.items():
+        if hasattr(choice.style, name):
+            assert getattr(choice.style, name) == pytest.approx(value, abs=0.015), name
+
+
+def test_a_sheet_trims_as_the_cut_itself_does():
+    """A style's points are the longest garment's that lie inside the openings of the style's own cut."""
+    marks = Landmarks.of(default_body())
+    sheet = Sheet.of(longest("trousers", {}, marks), marks)
+    short = Trousers(leg=0.4, rise=0.15)
+    inside = [value(sheet.points) > 0 for value in short.cut(marks).openings.values()]
+    kept = sheet.kept(short)
+    assert 500 < kept.sum() < len(kept)
+    assert not (kept & ~np.all(inside, axis=0)).any()
+    assert (np.all(inside, axis=0) & ~kept).sum() < 0.02 * kept.sum()  # what is not part of the garment's piece
+
+
+def test_every_family_has_styles_that_can_be_cut():
+    marks = Landmarks.of(default_body())
+    rng = np.random.default_rng(0)
+    assert sorted(name for names in KINDS.values() for name in names) == sorted(FAMILIES)
+    for family in FAMILIES:
+        whole = longest(family, EASES[family][-1], marks)
+        sheet = Sheet(whole, *(np.zeros((0, 3)) for _ in range(5)), marks)
+        styles = list(styles_of(sheet, 7, rng))
+        assert len(styles) == 7
+        limits = ranges(family, marks)
+        for name, (low, high) in limits.items():
+            values = sorted(getattr(style, name) for style in styles)
+            assert low < values[0] < low + (high - low) / 6 and high - (high - low) / 6 < values[-1] < high
+        for style in (whole, styles[0]):
+            style.cut(marks)  # raises where a length does not fit the body
+
+
+def test_a_scan_without_the_garment_says_so(scene):
+    cloud, placed = scene
+    bare = Cloud("bare", cloud.points, cloud.normals, np.where(cloud.labels == 2, 0, cloud.labels))
+    with pytest.raises(CaphyError, match="bare: has no points labelled lower"):
+        Target.of(bare, placed, "lower")
+
+
+def test_the_plainest_pose_is_the_t_or_the_a():
+    poses = plain_poses()
+    bent = np.zeros((55, 3))
+    bent[1, 0], bent[4, 0], bent[16, 1] = -1.2, 1.5, 0.7
+    others = [type(poses[0]).of(bent * share, np.zeros(3)) for share in (1.0, 0.6)]
+    assert template.plainest([others[0], poses[5], others[1]], 2) == [1, 2]
