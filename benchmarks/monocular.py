@@ -7,7 +7,8 @@ and the focal length. Films and records are kept in ``--out`` and used again.
 Every line is one video. "joints": position after rigid alignment. "arm", "leg": mean angle of shoulder and elbow, hip
 and knee against their parents, twist included, and after the stroke of the bones' directions. "up": gravity.
 "garment": vertices against those of the true poses, pelvis on pelvis. "jitter": rms acceleration of vertices against
-the true ones, of the poses as estimated and conditioned. "lag": by cross-correlation with the truth, after the time
+the true ones, of the poses as estimated and conditioned; "acc true" is the true one's own, which garments that stand
+still would score. "lag": by cross-correlation with the truth, after the time
 stamps; the latency stated comes on top. "cpu ms": processor time of the client for each picture, all threads; it
 depends less than "fps" on what else the machine does.
 """
@@ -63,7 +64,7 @@ class Arguments:
 
 COLUMNS = (
     *("joints mm", "arm deg", "arm bones", "leg deg", "leg bones", "up deg", "garment mm"),
-    *("jitter raw", "jitter cond", "ratio", "lag ms", "fps", "cpu ms"),
+    *("jitter raw", "jitter cond", "ratio", "acc true", "lag ms", "fps", "cpu ms"),
 )
 
 
@@ -116,12 +117,15 @@ def row(bundle: AvatarBundle, record: dict[str, np.ndarray], truth: dict[str, np
     worn = dressed(bundle, true), place.vertices(dressed(bundle, raw)), place.vertices(dressed(bundle, calm))
     calm = place.motion(calm)
     noise = jitter(worn[1], worn[0], FPS), jitter(worn[2], worn[0], FPS)
+    still = {name: vertices[:1].repeat(len(moments), 0) for name, vertices in worn[0].items()}
     angles = [(joint_angles(calm, true, limb), bone_angles(bundle, calm, true, limb)) for limb in ("arm", "leg")]
     garment = vertex_error(bundle, worn[2], calm, worn[0], true)
     count = len(record["time"])
     speed = count / float(record["seconds"]), 1e3 * float(record["processor"]) / count
     figures = [joint_error(bundle, calm, true), *angles[0], *angles[1], place.gravity_error(), garment]
-    return np.array([*figures, *noise, noise[0] / noise[1], 1e3 * lag(calm, true, FPS), *speed])
+    return np.array(
+        [*figures, *noise, noise[0] / noise[1], jitter(still, worn[0], FPS), 1e3 * lag(calm, true, FPS), *speed]
+    )
 
 
 def _at(moments: np.ndarray, times: np.ndarray, motion: Motion) -> Motion:
@@ -137,6 +141,7 @@ class Place:
     ) -> None:
         last = np.searchsorted(record["time"], moments + 1e-6).clip(1) - 1
         self._up, self._axes, self._eye = record["turn"][:, 1], truth["axes"], truth["eye"]
+        self._origins = record["origin"][last]
         self._turns = truth["axes"].T @ np.swapaxes(record["turn"][last], 1, 2)
         self._pelvis = bundle.joints[0]
 
@@ -148,12 +153,13 @@ class Place:
         """Poses and translations."""
         poses = motion.poses.copy()
         poses[:, 0] = axis_angle_from_matrix(self._turns @ matrix_from_axis_angle(poses[:, 0]))
-        place = np.einsum("tij,tj->ti", self._turns, motion.transl + self._pelvis) + self._eye
+        place = np.einsum("tij,tj->ti", self._turns, motion.transl + self._pelvis - self._origins) + self._eye
         return Motion(poses, place - self._pelvis)
 
     def vertices(self, garments: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Garments' vertices (T, V, 3)."""
-        return {name: worn @ np.swapaxes(self._turns, 1, 2) + self._eye for name, worn in garments.items()}
+        turns, origins = np.swapaxes(self._turns, 1, 2), self._origins[:, None]
+        return {name: (worn - origins) @ turns + self._eye for name, worn in garments.items()}
 
 
 @contextmanager

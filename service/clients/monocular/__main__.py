@@ -180,6 +180,7 @@ def _write_record(path: Path, record: Record) -> None:
         poses=np.stack([nobody if e.poses is None else e.poses for e in estimates]),
         transl=np.stack([nobody[0] if e.transl is None else e.transl for e in estimates]),
         turn=np.stack([e.turn for e in estimates]),
+        origin=np.stack([e.origin for e in estimates]),
         frame_time=np.array([f.time for f in frames]),
         frame_poses=np.stack([f.poses for f in frames]),
         frame_transl=np.stack([f.transl for f in frames]),

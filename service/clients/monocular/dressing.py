@@ -18,11 +18,11 @@ from service.clients.stream import StreamClient, StreamRefused
 
 @dataclass(frozen=True, eq=False)
 class Dressed:
-    """A conditioned frame, the garments' vertices (V, 3) [m] by name, and the camera's turn then (3, 3)."""
+    """A conditioned frame, the garments' vertices (V, 3) [m] by name, and the picture's estimate of that moment."""
 
     frame: Frame
     garments: dict[str, np.ndarray]
-    turn: np.ndarray
+    estimate: Estimate
 
 
 class Wardrobe(Protocol):
@@ -121,11 +121,11 @@ class Dressing:
     def __init__(self, wardrobe: Wardrobe, settings: Conditioning) -> None:
         self.conditioner = Conditioner(settings)
         self._wardrobe = wardrobe
-        self._turns: list[tuple[float, np.ndarray]] = []
+        self._estimates: list[Estimate] = []
 
     def push(self, estimate: Estimate) -> list[Dressed]:
         """The frames that an estimate completes."""
-        self._turns.append((estimate.time, estimate.turn))
+        self._estimates.append(estimate)
         return self._dressed(self.conditioner.push(estimate.time, estimate.poses, estimate.transl, estimate.confidence))
 
     def flush(self) -> list[Dressed]:
@@ -134,9 +134,9 @@ class Dressing:
 
     def _dressed(self, frames: list[Frame]) -> list[Dressed]:
         worn = self._wardrobe.wear(frames)
-        return [Dressed(f, garments, self._turn(f.time)) for f, garments in zip(frames, worn, strict=True)]
+        return [Dressed(f, garments, self._of(f.time)) for f, garments in zip(frames, worn, strict=True)]
 
-    def _turn(self, time: float) -> np.ndarray:
-        while len(self._turns) > 1 and self._turns[1][0] <= time + 1e-6:
-            self._turns.pop(0)
-        return self._turns[0][1]
+    def _of(self, time: float) -> Estimate:
+        while len(self._estimates) > 1 and self._estimates[1].time <= time + 1e-6:
+            self._estimates.pop(0)
+        return self._estimates[0]

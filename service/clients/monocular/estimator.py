@@ -33,9 +33,9 @@ _JUMP = 0.8
 class Estimate:
     """What one picture says.
 
-    time: [s]. poses: (55, 3) [rad] and transl: (3,) [m] in the world that ``turn`` makes of the camera, the camera at
-    its origin; none where nobody was seen. confidence: (55,) 0 to 1. turn: (3, 3) from the camera's axes to the
-    world's. is_new: whether a scene or a person begins here.
+    time: [s]. poses: (55, 3) [rad] and transl: (3,) [m] in the world; none where nobody was seen. confidence: (55,) 0
+    to 1. turn: (3, 3) from the camera's axes to the world's. origin: (3,) where the camera stands in the world [m].
+    is_new: whether a scene or a person begins here.
     """
 
     time: float
@@ -43,6 +43,7 @@ class Estimate:
     transl: np.ndarray | None
     confidence: np.ndarray
     turn: np.ndarray
+    origin: np.ndarray
     is_new: bool = False
 
 
@@ -60,6 +61,7 @@ class Estimator:
         self._cuts = Cuts()
         self._last: Landmarks | None = None
         self._time = 0.0
+        self._turn, self._origin, self._root = np.eye(3), np.zeros(3), np.array([0.0, 0.0, 3.0])
         self.counts = {"pictures": 0, "nobody": 0, "cuts": 0, "jumps": 0, "no body": 0}
 
     def detect(self, picture: Picture) -> tuple[Landmarks | None, bool]:
@@ -83,18 +85,28 @@ class Estimator:
         if seen is None or posture is None or posture.misfit > _MISFIT:
             self.counts["nobody" if seen is None else "no body"] += 1
             self.gravity.see(picture.time, picture.pixels, None)
-            return Estimate(picture.time, None, None, np.zeros(JOINT_COUNT), self.gravity.turn, is_cut or jumped)
+            self._turn_world()
+            return self._estimate(picture.time, None, np.zeros(JOINT_COUNT), is_cut or jumped)
+        self._root = posture.root
         self.gravity.see(picture.time, picture.pixels, *self._uprightness(posture, seen))
-        turn = self.gravity.turn
-        poses, transl = self._in_world(posture, turn)
-        return Estimate(picture.time, poses, transl, confidence(seen), turn, is_cut or jumped)
+        self._turn_world()
+        return self._estimate(picture.time, posture, confidence(seen), is_cut or jumped)
 
-    def _in_world(self, posture: Posture, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _turn_world(self) -> None:
+        """Take over what is known of up by now; the world turns about the person, who therefore does not jump."""
+        turn = self.gravity.turn
+        self._origin = self._origin + (self._turn - turn) @ self._root
+        self._turn = turn
+
+    def _estimate(self, time: float, posture: Posture | None, trust: np.ndarray, is_new: bool) -> Estimate:
+        if posture is None:
+            return Estimate(time, None, None, trust, self._turn, self._origin, is_new)
         rotations = posture.rotations.copy()
-        rotations[0] = turn @ rotations[0]
+        rotations[0] = self._turn @ rotations[0]
         poses = np.zeros((JOINT_COUNT, 3))
         poses[: len(rotations)] = axis_angle_from_matrix(rotations)
-        return poses, turn @ posture.root - self._joints[0]
+        transl = self._turn @ posture.root + self._origin - self._joints[0]
+        return Estimate(time, poses, transl, trust, self._turn, self._origin, is_new)
 
     def _uprightness(self, posture: Posture, seen: Landmarks) -> tuple[np.ndarray, float]:
         """The way from ankles to neck (3,) in the camera, and how much it says about gravity: standing tall only."""

@@ -11,9 +11,16 @@ TOLERANCE: Final = np.radians(1.5)
 """A line counts as vertical within this [rad]."""
 LEAN: Final = np.radians(40.0)
 """No camera is taken to be held further from level than this [rad]."""
-AGREE: Final = np.radians(20.0)
+AGREE: Final = np.radians(15.0)
 """Lines that say otherwise than the standing person by more are not of a building [rad]."""
-LEAST_LINES: Final = 6
+LEAST_LINES: Final = 8
+LEAST_SHARE: Final = 0.25
+"""Of the length of all lines near upright, what must agree: floors and people have such lines too."""
+APART: Final = np.radians(4.0)
+CLEAR: Final = 1.4
+"""How much more must agree than the rest does with any direction further away than 4 degrees."""
+SLEW: Final = np.radians(20.0)
+"""How fast the world is turned when up is known better [rad/s]: faster, and clothes would fly."""
 _SHORTEST = 0.05
 
 
@@ -30,19 +37,20 @@ def up_from_lines(pixels: np.ndarray, focal: float, guess: np.ndarray) -> np.nda
     normals, lengths = _planes(pixels, focal, guess)
     if len(normals) < LEAST_LINES:
         return None
-    best, weight = guess, 0.0
-    for i in range(min(len(normals), 24)):
-        for j in range(i):
-            candidate = np.cross(normals[i], normals[j])
-            size = np.linalg.norm(candidate)
-            if size < 0.02:
-                continue
-            candidate = candidate / size * np.sign(candidate @ guess or 1.0)
-            agrees = abs(normals @ candidate) < np.sin(TOLERANCE)
-            if candidate @ guess > np.cos(LEAN) and lengths[agrees].sum() > weight:
-                best, weight = candidate, float(lengths[agrees].sum())
+    first, second = np.triu_indices(min(len(normals), 40), 1)
+    candidates = np.cross(normals[first], normals[second])
+    sizes = np.linalg.norm(candidates, axis=1)
+    candidates = candidates[sizes > 0.02] / sizes[sizes > 0.02, None]
+    candidates *= np.where(candidates @ guess < 0, -1.0, 1.0)[:, None]
+    candidates = candidates[candidates @ guess > np.cos(LEAN)]
+    if not len(candidates):
+        return None
+    fits = abs(candidates @ normals.T) < np.sin(TOLERANCE)
+    votes = fits @ lengths
+    best = candidates[votes.argmax()]
     agrees = abs(normals @ best) < np.sin(TOLERANCE)
-    if agrees.sum() < LEAST_LINES or weight < 0.4 * lengths.sum():
+    others = (fits[candidates @ best < np.cos(APART)] @ np.where(agrees, 0.0, lengths)).max(initial=0.0)
+    if agrees.sum() < LEAST_LINES or votes.max() < LEAST_SHARE * lengths.sum() or votes.max() < CLEAR * others:
         return None
     _, axes = np.linalg.eigh((normals[agrees] * lengths[agrees, None]).T @ normals[agrees])
     return axes[:, 0] * np.sign(axes[:, 0] @ guess)
@@ -84,8 +92,9 @@ class Gravity:
 
     def forget(self) -> None:
         """The camera may have moved, as after a cut."""
-        self._up = np.array([0.0, -1.0, 0.0])
-        self._people, self._weight, self._next = np.zeros(3), 0.0, -np.inf
+        self._up = self._goal = np.array([0.0, -1.0, 0.0])
+        self._people, self._weight = np.zeros(3), 0.0
+        self._next, self._time = -np.inf, -np.inf
         self.by_lines = False
 
     def see(self, time: float, pixels: np.ndarray, body_up: np.ndarray | None, weight: float = 1.0) -> None:
@@ -94,19 +103,31 @@ class Gravity:
             self._people += weight * body_up / np.linalg.norm(body_up)
             self._weight += weight
         if time >= self._next:
-            self._next = time + self._every
             self._look(pixels)
+            self._next = time + (self._every if self.by_lines else self._every / 4)
         if not self.by_lines and self._weight > 5:
-            self._up = self._people / np.linalg.norm(self._people)
+            self._goal = self._people / np.linalg.norm(self._people)
+        self._approach(time)
 
     def _look(self, pixels: np.ndarray) -> None:
         known = self._weight > 5
-        guess = self._people / np.linalg.norm(self._people) if known else self._up
+        guess = self._people / np.linalg.norm(self._people) if known else self._goal
         up = up_from_lines(pixels, self._focal, guess)
         if up is not None and (not known or up @ guess > np.cos(AGREE)):
-            if not self.by_lines or up @ self._up < np.cos(np.radians(1.0)):  # a turn of less is noise
-                self._up = up
+            if not self.by_lines or up @ self._goal < np.cos(np.radians(1.0)):  # a turn of less is noise
+                self._goal = up
             self.by_lines = True
+
+    def _approach(self, time: float) -> None:
+        """Turn towards what is known by now: at once in the first picture, slowly later."""
+        angle = float(np.arccos(np.clip(self._up @ self._goal, -1, 1)))
+        most = SLEW * (time - self._time)
+        self._time = time
+        if angle <= most or angle < 1e-6:
+            self._up = self._goal
+        else:
+            mixed = self._up * np.sin(angle - most) + self._goal * np.sin(most)
+            self._up = mixed / np.linalg.norm(mixed)
 
     @property
     def turn(self) -> np.ndarray:

@@ -35,10 +35,12 @@ class Overlay:
         transl: np.ndarray,
         garments: dict[str, np.ndarray],
         turn: np.ndarray,
+        origin: np.ndarray,
     ) -> np.ndarray:
         """A copy of ``pixels`` (H, W, 3) BGR dressed in ``garments``, vertices (V, 3) [m] by name.
 
         poses: (55, 3) [rad] and transl: (3,) [m] of the body. turn: (3, 3) from the camera's axes to the world's.
+        origin: (3,) where the camera stands in the world [m].
         """
         body = self._body.posed(self._bundle.transforms(poses[None], transl[None]))[0]
         meshes = [(body, self._body.faces, (0, 0, 0), 0)]
@@ -46,7 +48,7 @@ class Overlay:
             meshes.append((garments[garment.name], garment.mesh.faces, colour, 255))
         polygons, depths, colours = [], [], []
         for vertices, faces, colour, opacity in meshes:
-            found = self._faces(np.asarray(vertices, np.float64), faces, turn)
+            found = self._faces(np.asarray(vertices, np.float64) - origin, faces, turn)
             polygons.append(found[0])
             depths.append(found[1] - (0.0 if opacity else 0.01))  # skin lies on cloth's depth nearly: it wins
             shade = np.outer(found[2], colour)

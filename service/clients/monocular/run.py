@@ -103,8 +103,8 @@ def _show(
         if dressed is None or overlay is None:
             show(picture.pixels, picture.time)
         else:
-            frame = dressed.frame
-            drawn = overlay.draw(picture.pixels, frame.poses, frame.transl, dressed.garments, dressed.turn)
+            frame, then = dressed.frame, dressed.estimate
+            drawn = overlay.draw(picture.pixels, frame.poses, frame.transl, dressed.garments, then.turn, then.origin)
             show(drawn, picture.time)
 
 
