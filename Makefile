@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test lint viewer node-packages bench challenge bench-diagnosis avatar clean
+.PHONY: demo test lint viewer node-packages bench challenge bench-diagnosis monocular bench-monocular avatar clean
 
 demo: $(VENV)/.demo            ## serve the default avatar, send it a motion, write a GLB and a contact sheet
 	$(BIN)/caphy demo
@@ -34,6 +34,11 @@ challenge: $(VENV)/.dev        ## make data with a hidden effect, diagnose them,
 
 bench-diagnosis: $(VENV)/.dev  ## does the diagnosis name what was hidden? hours; resumes
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.diagnosis bench-diagnosis.jsonl
+
+monocular: $(VENV)/.monocular  ## the environment of the monocular client: $(VENV)/monocular/bin/python -m service.clients.monocular
+
+bench-monocular: $(VENV)/.dev $(VENV)/.monocular  ## films with known truth through the monocular client; 20 minutes or more
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.monocular $(MOCAP) --python $(VENV)/monocular/bin/python
 
 MOCAP ?= cmu_mocap
 UNSEEN = $(MOCAP)/bvh/131_01.bvh $(wildcard $(MOCAP)/bvh_from_expmap/test_*.bvh)
@@ -68,6 +73,12 @@ $(VENV)/.node: $(VENV)/.python service/viewer/package.json
 	mkdir -p $(VENV)/node
 	cp service/viewer/package.json $(VENV)/node/
 	npm install --prefix $(VENV)/node --no-package-lock --no-audit --no-fund --silent
+	touch $@
+
+# mediapipe wants numpy 1 and the rest numpy 2, hence an environment of its own.
+$(VENV)/.monocular: $(VENV)/.python service/clients/monocular/requirements.txt
+	$(PYTHON) -m venv $(VENV)/monocular
+	$(VENV)/monocular/bin/pip install --quiet -r service/clients/monocular/requirements.txt
 	touch $@
 
 clean:

@@ -8,7 +8,7 @@ Every line is one video. "joints": position after rigid alignment. "arm", "leg":
 and knee against their parents, twist included, and after the stroke of the bones' directions. "up": gravity.
 "garment": vertices against those of the true poses, pelvis on pelvis. "jitter": rms acceleration of vertices against
 the true ones, of the poses as estimated and conditioned; "acc true" is the true one's own, which garments that stand
-still would score. "lag": by cross-correlation with the truth, after the time
+still would score. "lag": the shift at which the joints' angles come nearest to the truth, after the time
 stamps; the latency stated comes on top. "cpu ms": processor time of the client for each picture, all threads; it
 depends less than "fps" on what else the machine does.
 """

@@ -82,22 +82,13 @@ def jitter(found: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray], fps:
 
 
 def lag(found: Motion, true: Motion, fps: float) -> float:
-    """How much later the found motion is, by the cross-correlation of its joints' turning speeds [s]."""
-    a, b = (_speeds(motion) for motion in (found, true))
+    """How much later the found motion is [s]: the shift at which its joints' angles come nearest to the true ones."""
+    a, b = (matrix_from_axis_angle(motion.poses[:, 1:BODY_JOINT_COUNT]) for motion in (found, true))
     shifts = np.arange(-6, 7)
-    scores = np.array([np.mean(a[6 + s : len(a) - 6 + s] * b[6 : len(b) - 6]) for s in shifts])
-    best = int(scores.argmax())
-    if 0 < best < len(shifts) - 1:
-        left, middle, right = scores[best - 1 : best + 2]
-        return float(shifts[best] + (left - right) / (2 * (left - 2 * middle + right))) / fps
-    return float(shifts[best]) / fps
-
-
-def _speeds(motion: Motion) -> np.ndarray:
-    """Turning speeds (T - 1, 21), each joint's with mean 0."""
-    rotations = matrix_from_axis_angle(motion.poses[:, 1:BODY_JOINT_COUNT])
-    speeds = _angles(rotations[1:], rotations[:-1])
-    return speeds - speeds.mean(axis=0)
+    scores = np.array([_angles(a[6 + s : len(a) - 6 + s], b[6 : len(b) - 6]).mean() for s in shifts])
+    best = int(scores.argmin().clip(1, len(shifts) - 2))
+    left, middle, right = scores[best - 1 : best + 2]
+    return float(shifts[best] + (left - right) / (2 * (left - 2 * middle + right))) / fps
 
 
 def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -202,9 +202,7 @@ def test_forearms_before_the_shirt_stay_bare(bundle: AvatarBundle) -> None:
     white = np.full((SIZE[1], SIZE[0], 3), 255, np.uint8)
     drawn = overlay.draw(white, poses, transl, garments, turn, np.zeros(3))
     joints = bundle.transforms(poses[None], transl[None])[0]
-    forearm = np.array(
-        [0.6 * bundle.joints[18] + 0.4 * bundle.joints[20], 0.6 * bundle.joints[19] + 0.4 * bundle.joints[21]]
-    )
+    forearms = 0.6 * bundle.joints[[18, 19]] + 0.4 * bundle.joints[[20, 21]]
     chest = bundle.joints[9] + [0.0, 0.0, 0.1]
 
     def pixel(point: np.ndarray, joint: int) -> tuple[int, int]:
