@@ -14,7 +14,9 @@ HOURS = ("diagnosis", "monocular")
 
 
 def main(names: list[str]) -> int:
-    known = [info.name for info in pkgutil.iter_modules(benchmarks.__path__) if not info.name.startswith(("_", "monocular_"))]
+    known = [
+        info.name for info in pkgutil.iter_modules(benchmarks.__path__) if not info.name.startswith(("_", "monocular_"))
+    ]
     unknown = [name for name in names if name not in known]
     if unknown:
         print(f"there is no benchmark {unknown[0]!r}; known: {', '.join(known)}", file=sys.stderr)
