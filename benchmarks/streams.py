@@ -3,7 +3,9 @@
 python -m benchmarks.streams [--seconds 10] [--processes 2] [--encoding uint16]
 
 Held means that the 99th percentile of the time from a pose's departure to the last byte of its meshes is below one
-frame at 30 fps, and that every pose is answered. The clients run in a process of their own on the same cores as the
+frame at 30 fps, and that every pose is answered. Before that it prints what a stream's frame costs in the process that
+computes it, sockets left out, as streams are computed one by one and together: in processor time, so that it may be
+compared on a busy machine too. The clients run in a process of their own on the same cores as the
 servers, and share them: they speak just as much WebSocket as they must.
 """
 
@@ -19,14 +21,22 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from multiprocessing import get_context
 
 import numpy as np
 import tyro
 
 from caphy.io.procedural import procedural_motion
+from service.avatars import Avatar, load_avatar
 from service.encodings import Encoding, EncodingName
-from service.stream.messages import Credit, Hello, Kind, Poses, encode_client
+from service.engine import STREAMS
+from service.metrics import Metrics, Stages
+from service.settings import BUNDLED_AVATARS, Settings
+from service.stream.limits import StreamLimits
+from service.stream.messages import Credit, Hello, Kind, Poses, decode_client, encode_client
+from service.stream.scheduler import Member, advance
+from service.stream.session import Session
 
 FPS = 30.0
 DEADLINE_MS = 1e3 / FPS
@@ -166,6 +176,36 @@ def trial(ports: list[int], streams: int, encoding: str, seconds: float) -> dict
     return {"p50": p50, "p99": p99, "answered": answered, "client_cpu": used / (seconds + WARM_UP)}
 
 
+def cost(streams: int, encoding: str, turns: int) -> float:
+    """Processor milliseconds per frame of so many streams: poses read, two garments computed, meshes packed."""
+    motion, stages = procedural_motion(seed=3, seconds=4.0), Stages(Metrics().stream_seconds)
+    hello = Hello((), FPS, Encoding[encoding.upper()], credits=64)
+    sessions = [Session(bundled(), hello, StreamLimits()) for _ in range(streams)]
+    members = [Member(session, lambda body: None, lambda: True, _raise) for session in sessions]
+    spent = []
+    for turn in range(turns):
+        at = slice(turn % len(motion), turn % len(motion) + 1)
+        body = encode_client(Poses(turn + 1, 0.0, motion.poses[at], motion.transl[at]))
+        started = time.process_time()
+        for session in sessions:
+            session.take(decode_client(body))
+            session.take(Credit(1))
+        for first in range(0, streams, STREAMS):
+            advance(members[first : first + STREAMS], stages)
+        spent.append(time.process_time() - started)
+    return 1e3 * float(np.median(spent[3:])) / streams
+
+
+@cache
+def bundled() -> Avatar:
+    """The bundled avatar, loaded once."""
+    return load_avatar(BUNDLED_AVATARS / "default", Settings().chunk_frames)
+
+
+def _raise(error: Exception) -> None:
+    raise error
+
+
 @contextmanager
 def servers(count: int) -> Iterator[tuple[list[int], list[int]]]:
     """Ports and process ids of so many services of the bundled avatar."""
@@ -226,6 +266,11 @@ def main(arguments: Arguments) -> None:
         f"{arguments.processes} server processes and one of clients on {cores} cores, "
         f"load before {os.getloadavg()[0]:.1f}"
     )
+    alone = cost(1, arguments.encoding, 200)
+    print(f"cost of a stream's frame, of one stream at a time: {alone:.2f} ms of processor time")
+    for count in (4, STREAMS):
+        found = cost(count, arguments.encoding, 60)
+        print(f"  of {count:2} streams together: {found:.2f} ms, {found / alone:.2f} of it")
     print(f"  {'streams':>7}{'p50 ms':>10}{'p99 ms':>10}{'answered':>11}{'server cpu':>12}{'client cpu':>12}")
     with servers(arguments.processes) as (ports, pids):
         held = bisect(arguments, ports, pids)

@@ -16,31 +16,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import uvicorn
 
-from benchmarks.latency import shirt
-from caphy.body.bundled import default_body
-from caphy.io.bundle import AvatarBundle, BundledGarment, SkinnedMesh, write_bundle
+from benchmarks.latency import shirt, shirt_avatar
+from caphy.io.bundle import write_bundle
 from caphy.io.procedural import procedural_motion
-from export.avatar import body_mesh
-from export.garment_graph import garment_graph
-from export.head import hidden_states, low_rank_head
 from service.app import create_app
 from service.protocol import MEDIA_TYPE, FramesRequest, decode_response, encode_request
 from service.settings import Settings
 
 VERTICES = 4424
-
-
-def avatar() -> AvatarBundle:
-    """The bundled body and one garment of the paper's size."""
-    network = shirt(VERTICES)
-    head = low_rank_head(network, hidden_states(network, [procedural_motion(seconds=5)]), 64)
-    faces = np.arange(VERTICES - VERTICES % 3).reshape(-1, 3)
-    weights = network.weights.double().numpy()
-    mesh = SkinnedMesh.from_dense(network.template.numpy(), faces, weights)
-    content = garment_graph(network, head, "shirt").SerializeToString()
-    body, joints = body_mesh(default_body("medium"))
-    garment = BundledGarment("shirt", mesh, content, network.state_size)
-    return AvatarBundle("bench", 30.0, joints, default_body("medium").parents, body, (garment,), "CC0")
 
 
 def milliseconds(work: Callable[[], object], seconds: float = 2.0) -> float:
@@ -91,7 +74,7 @@ def compare(connection: HTTPConnection, frames: int) -> None:
 def main() -> None:
     """One service in this process, one client."""
     with TemporaryDirectory() as folder:
-        write_bundle(avatar(), Path(folder) / "bench")
+        write_bundle(shirt_avatar(shirt(VERTICES), 64), Path(folder) / "bench")
         server = uvicorn.Server(uvicorn.Config(create_app(Settings(avatars=Path(folder))), port=0, log_level="warning"))
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()

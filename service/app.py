@@ -66,7 +66,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 def _add_middleware(app: FastAPI, settings: Settings) -> None:
     """The one added last is the outermost: requests are observed, counted, asked for the key, in this order."""
     app.add_middleware(Subprotocol)
-    if settings.api_key is not None:
-        app.add_middleware(RequireKey, key=settings.api_key.get_secret_value(), public=PUBLIC)
+    if keys := settings.api_keys():
+        app.add_middleware(RequireKey, keys=keys, public=PUBLIC)
     app.add_middleware(Guarded, guard=app.state.guard)
     app.add_middleware(Observed, metrics=app.state.metrics)

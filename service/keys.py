@@ -1,4 +1,4 @@
-"""Who may ask: everybody, or whoever sends the key.
+"""Who may ask: everybody, or whoever sends one of the keys.
 
 The key comes as ``authorization: Bearer KEY`` or ``x-api-key: KEY``. A browser cannot set headers of a WebSocket, so
 there it may come as a subprotocol: ``new WebSocket(url, ["caphy", "caphy.key." + base64url(KEY)])``; the answer chooses
@@ -10,6 +10,7 @@ from __future__ import annotations
 import binascii
 import hmac
 from base64 import urlsafe_b64decode
+from collections.abc import Sequence
 from typing import Final
 
 from starlette.datastructures import Headers
@@ -25,11 +26,11 @@ POLICY_VIOLATION: Final = 1008
 
 
 class RequireKey:
-    """Middleware: whatever is neither a probe nor under ``public`` needs the key, HTTP and WebSocket alike."""
+    """Middleware: whatever is neither a probe nor under ``public`` needs one of ``keys``, HTTP and WebSocket alike."""
 
-    def __init__(self, app: ASGIApp, key: str, public: tuple[str, ...] = ()) -> None:
+    def __init__(self, app: ASGIApp, keys: Sequence[str], public: tuple[str, ...] = ()) -> None:
         self._app = app
-        self._key = key.encode()
+        self._keys = [key.encode() for key in keys]
         self._public = public
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -53,8 +54,8 @@ class RequireKey:
         offered = [key.encode("latin-1") for key in sent]
         if scope["type"] == "websocket":
             offered += [_decoded(name) for name in scope.get("subprotocols", ()) if name.startswith(KEY_SUBPROTOCOL)]
-        matches = [hmac.compare_digest(key, self._key) for key in offered]
-        return any(matches)
+        matches = [hmac.compare_digest(key, known) for key in offered for known in self._keys]
+        return any(matches)  # of a list: all are compared, whichever matches
 
 
 class Subprotocol:

@@ -24,7 +24,7 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="address to listen on")
     port: int = Field(8000, ge=0, le=65535, description="port to listen on")
     workers: int = Field(1, ge=1, le=256, description="processes that share the port")
-    api_key: SecretStr | None = Field(None, description="what clients must send as bearer token or x-api-key")
+    api_key: SecretStr | None = Field(None, description="what clients must send; several, comma-separated")
     allow_anonymous: bool = Field(False, description="answer without a key on addresses beyond this machine")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level that is logged")
     reload_seconds: float = Field(2.0, ge=0, description="how often to look for new avatar bundles [s]; 0 is never")
@@ -49,9 +49,13 @@ class Settings(BaseSettings):
     @field_validator("api_key")
     @classmethod
     def _not_empty(cls, key: SecretStr | None) -> SecretStr | None:
-        if key is not None and not key.get_secret_value().strip():
-            raise ValueError("must not be empty; leave the variable out to have no key")
+        if key is not None and not all(_keys(key)):
+            raise ValueError("no key must be empty; leave the variable out to have none")
         return key
+
+    def api_keys(self) -> list[str]:
+        """The keys of which clients must send one; none where anybody may ask."""
+        return [] if self.api_key is None else _keys(self.api_key)
 
     def require_key_beyond_loopback(self) -> None:
         """Raise CaphyError where anybody on the network could use the service without a key, and nobody said so."""
@@ -60,6 +64,10 @@ class Settings(BaseSettings):
                 f"listening on {self.host} lets others in, so there must be a key: set CAPHY_API_KEY, "
                 "or CAPHY_ALLOW_ANONYMOUS=true where something in front of the service checks who asks"
             )
+
+
+def _keys(joined: SecretStr) -> list[str]:
+    return [key.strip() for key in joined.get_secret_value().split(",")]
 
 
 def _is_loopback(host: str) -> bool:

@@ -26,11 +26,14 @@ from service.logs import JsonLines
 from service.settings import Settings, read_settings
 
 KEY = "a-key-with-ümlaut"
+OTHER = "the-key-before"
 
 
 @pytest.fixture(scope="module")
 def locked(avatars):
-    with TestClient(create_app(Settings(avatars=avatars, api_key=KEY)), raise_server_exceptions=False) as client:
+    with TestClient(
+        create_app(Settings(avatars=avatars, api_key=f"{KEY}, {OTHER}")), raise_server_exceptions=False
+    ) as client:
         yield client
 
 
@@ -42,7 +45,13 @@ def numbers(http: TestClient) -> dict[tuple[str, ...], float]:
 
 @pytest.mark.parametrize("path", ["/avatars", "/v2", "/v2/models/shell.tshirt", "/metrics", "/docs", "/openapi.json"])
 def test_without_the_key_nothing_is_answered(locked, path):
-    for headers in ({}, {"authorization": "Bearer wrong"}, {"x-api-key": "wrong"}, {"authorization": f"Basic {KEY}"}):
+    for headers in (
+        {},
+        {"authorization": "Bearer wrong"},
+        {"x-api-key": "wrong"},
+        {"authorization": f"Basic {KEY}"},
+        {"x-api-key": f"{KEY},{OTHER}"},
+    ):
         response = locked.get(path, headers={name: value.encode() for name, value in headers.items()})
         assert response.status_code == 401
         assert response.headers["www-authenticate"] == "Bearer"
@@ -50,7 +59,12 @@ def test_without_the_key_nothing_is_answered(locked, path):
 
 
 def test_the_key_opens(locked, motion):
-    for headers in ({"authorization": f"Bearer {KEY}"}, {"authorization": f"bearer {KEY}"}, {"x-api-key": KEY}):
+    for headers in (
+        {"authorization": f"Bearer {KEY}"},
+        {"authorization": f"bearer {KEY}"},
+        {"x-api-key": KEY},
+        {"x-api-key": OTHER},
+    ):
         encoded = {name: value.encode() for name, value in headers.items()}
         assert locked.get("/avatars", headers=encoded).status_code == 200
         asked = {**{k: v.encode() for k, v in BINARY.items()}, **encoded}
@@ -86,7 +100,7 @@ def echo():
         await websocket.send_text("in")
 
     app.add_middleware(Subprotocol)
-    app.add_middleware(RequireKey, key=KEY)
+    app.add_middleware(RequireKey, keys=[OTHER, KEY])
     return TestClient(app)
 
 
@@ -125,8 +139,9 @@ def test_this_machine_needs_no_key(host):
     Settings(host=host).require_key_beyond_loopback()
 
 
-def test_an_empty_key_is_none(monkeypatch):
-    monkeypatch.setenv("CAPHY_API_KEY", " ")
+@pytest.mark.parametrize("empty", [" ", "new, ", ",old"])
+def test_an_empty_key_is_none(monkeypatch, empty):
+    monkeypatch.setenv("CAPHY_API_KEY", empty)
     with pytest.raises(CaphyError, match=r"CAPHY_API_KEY.*empty"):
         read_settings()
 
