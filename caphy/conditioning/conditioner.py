@@ -35,6 +35,10 @@ TURN_SPEED: Final = 6.0
 """At which a joint that is found again approaches where it is [rad/s]."""
 WALK_SPEED: Final = 2.0
 """At which the root does [m/s]."""
+SOON: Final = 0.1
+"""A joint that was seen so long ago and is strange now has jumped [s]."""
+BRIDGE: Final = 0.25
+"""Over longer gaps nothing is interpolated: what was before tells nothing of what comes after [s]."""
 RELATIVE: Final = np.arange(JOINT_COUNT) > 0
 
 
@@ -78,11 +82,12 @@ class Conditioner:
             return []
         self._skip(float(time))
         self._time = float(time)
+        frames: list[Frame] = []
         if poses is None or not trust.any():
             self._refuse("nobody was seen", "nobody", Did.NOTHING)
         else:
-            self._take(exponential(poses), transl, trust, None if camera is None else camera_rotation(camera))
-        return self._frames(self._time - self.settings.latency)
+            frames = self._take(exponential(poses), transl, trust, None if camera is None else camera_rotation(camera))
+        return frames + self._frames(self._time - self.settings.latency)
 
     def flush(self) -> list[Frame]:
         """The frames up to the last pose, which need not wait: nothing comes after it."""
@@ -101,7 +106,7 @@ class Conditioner:
         self._count = 0
         self._out: tuple[np.ndarray, np.ndarray] | None = None
         self._was_held = np.zeros(JOINT_COUNT, bool)
-        self._rested = False
+        self._rested = self._was_unplaced = False
         self._turn_offsets = Offsets(JOINT_COUNT, TURN_SPEED)
         self._path_offsets = Offsets(1, WALK_SPEED)
         self._did, self._notes = Did.NOTHING, []
@@ -121,7 +126,7 @@ class Conditioner:
         if self._first is not None and time - self._time > self._longest:
             self._first, self._count = time, 0
             self._was_held[:] = True
-            self._rested = True
+            self._rested = self._was_unplaced = True
             self._notes.append(f"time went on by {time - self._time:.1f} s at once; frames between are left out")
 
     def _refuse(self, why: str, kind: str, did: Did = Did.REJECTED) -> None:
@@ -129,7 +134,10 @@ class Conditioner:
         self._did |= did
         self._notes.append(f"not used: {why}")
 
-    def _take(self, turns: np.ndarray, transl: np.ndarray | None, trust: np.ndarray, camera: np.ndarray | None) -> None:
+    def _take(
+        self, turns: np.ndarray, transl: np.ndarray | None, trust: np.ndarray, camera: np.ndarray | None
+    ) -> list[Frame]:
+        """Take a pose in; returns the frames of a long gap that it ends."""
         turns, beyond = self._within_reach(turns)
         if (beyond & (trust > 0)).any():
             self._did |= Did.LIMITED
@@ -137,18 +145,33 @@ class Conditioner:
         level = np.concatenate([product(LEVEL, turns[0])[None], turns[1:]])
         if self.settings.frame == "camera":
             turns, transl = self._in_world(turns, transl, camera)
+        jumped = np.zeros(JOINT_COUNT, bool)
         if self._first is None:
             self._first = self._time
         else:
-            strange = self._strange(turns, trust)
-            if strange is None:
-                return
+            strange, jumped = self._doubted(turns, trust)
+            if is_pose_strange(strange):
+                self._refuse(f"it jumps: {names(strange)}", "jump")
+                return []
+            if strange.any():
+                self._refuse(f"these joints jump: {names(strange)}", "joints")
             trust = np.where(strange, 0.0, trust)
+        frames = self._gap_frames(trust)
+        self._turns.forget(jumped)  # believed only because it lasts: the past would bend the curve
         self._turns.add(self._time, turns, trust)
         if self.settings.frame == "camera" and trust[0]:
             self._upright.look(level, SURE)
         if trust[0] and transl is not None:
-            self._take_path(transl, trust[:1])
+            self._take_path(transl, trust[:1], bool(jumped[0] or frames))
+        return frames
+
+    def _gap_frames(self, trust: np.ndarray) -> list[Frame]:
+        """Where a body is found after a long gap: the frames of the gap, which cannot know of it any more."""
+        if not trust[0] or self._time - self._turns.last[0] < BRIDGE or self._turns.last[0] == NEVER:
+            return []
+        frames = self._frames(self._time - 2 * CLOSE)
+        self._turns.forget(np.ones(JOINT_COUNT, bool))
+        return frames
 
     def _within_reach(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         vectors, beyond = within_reach(logarithm(turns))
@@ -162,29 +185,22 @@ class Conditioner:
         root, place = turned_root(rotation, turns[0], place, self.body.joints[0])
         return np.concatenate([root[None], turns[1:]]), None if transl is None else place
 
-    def _strange(self, turns: np.ndarray, trust: np.ndarray) -> np.ndarray | None:
-        """Which joints (55,) must not be believed; none where the whole pose must not."""
+    def _doubted(self, turns: np.ndarray, trust: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which joints (55,) must not be believed, and which are only because they were not seen for some time."""
         last = self._turns.last
         since = np.where(last == NEVER, np.inf, self._time - last)
         expected = self._turns.at(self._time)
         strange = strange_joints(expected, turns, since) & (trust > 0)
-        if is_pose_strange(strange):
-            self._refuse(f"it jumps: {names(strange)}", "jump")
-            return None
-        if strange.any():
-            self._refuse(f"these joints jump: {names(strange)}", "joints")
-        jumped = strange_joints(expected, turns, np.minimum(since, 0.1)) & (trust > 0) & ~strange
-        if jumped.any():  # believed only because it lasts: the past would bend the curve
-            self._turns.forget(jumped)
-        return strange
+        at_once = strange_joints(expected, turns, np.minimum(since, SOON)) & (trust > 0)
+        return strange, at_once & ~strange
 
-    def _take_path(self, transl: np.ndarray, trust: np.ndarray) -> None:
+    def _take_path(self, transl: np.ndarray, trust: np.ndarray, anew: bool) -> None:
         last = float(self._path.last[0])
         if last != NEVER:
             expected = self._path.at(self._time)[0]
-            if is_path_strange(expected, transl, self._time - last):
+            if not anew and is_path_strange(expected, transl, self._time - last):
                 return self._refuse("its translation jumps", "translation")
-            if is_path_strange(expected, transl, min(self._time - last, 0.1)):
+            if anew or is_path_strange(expected, transl, min(self._time - last, SOON)):
                 self._path.forget(np.ones(1, bool))
         self._path.add(self._time, transl[None], trust)
         return None
@@ -208,6 +224,7 @@ class Conditioner:
         turns, place = self._relaxed(turns, place, share)
         turns, place = self._approached(time, turns, place, held)
         self._was_held, self._out, self._rested = held, (turns, place), bool(share[0] == 1)
+        self._was_unplaced = self._is_unplaced(time)
         self._mention(held, bool(share[0] > 0))
         stands = self._ground.put(turns, place[0], self._jumped)
         frame = Frame(time, logarithm(turns), stands, self._did, tuple(self._notes))
@@ -241,13 +258,20 @@ class Conditioner:
             self._did |= Did.RESET
             return turns, place
         found = self._was_held & ~held
-        if found.any():
-            self._begin_approach(time, found, between(turns, self._out[0]), self._out[1] - place)
+        placed = self._was_unplaced and not self._is_unplaced(time)
+        if found.any() or placed:
+            self._begin_approach(time, found, placed, between(turns, self._out[0]), self._out[1] - place)
         return rotated(turns, self._turn_offsets.at(time)), place + self._path_offsets.at(time)
 
-    def _begin_approach(self, time: float, found: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> None:
-        far = bool(found[0]) and (np.linalg.norm(turned[0]) > CUT_TURN or np.linalg.norm(moved) > CUT_DISTANCE)
-        if found[0] and (far or self._rested):
+    def _is_unplaced(self, time: float) -> bool:
+        """Whether the root's place is held at this moment."""
+        return bool(self._path.last[0] != NEVER and time - self._path.last[0] > CLOSE)
+
+    def _begin_approach(
+        self, time: float, found: np.ndarray, placed: bool, turned: np.ndarray, moved: np.ndarray
+    ) -> None:
+        far = (found[0] and np.linalg.norm(turned[0]) > CUT_TURN) or (placed and np.linalg.norm(moved) > CUT_DISTANCE)
+        if far or (found[0] and self._rested):
             self._did |= Did.RESET
             self._notes.append("found again after long, or far away: the garment begins anew")
         if far:
@@ -256,5 +280,5 @@ class Conditioner:
             self._turn_offsets.begin(found, RELATIVE[:, None] * turned, time)
             return
         self._turn_offsets.begin(found, turned, time)
-        if found[0]:
+        if placed:
             self._path_offsets.begin(np.ones(1, bool), moved, time)

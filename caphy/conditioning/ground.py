@@ -13,10 +13,14 @@ SINK: Final = 0.3
 """Time over which the ground is lowered to a sole that is seen below it [s]."""
 RISE: Final = 5.0
 """Time over which it is raised to soles that are seen above it [s]: they may jump."""
-PRIOR: Final = 1.0
+PRIOR: Final = 0.1
 """Way times speed that must be gone before the scale is the feet's rather than one [m^2/s]."""
 SCALES: Final = (0.5, 2.0)
 """Between which the estimated scale lies."""
+GLIDE: Final = 0.1
+"""Time over which the speed that the feet tell becomes the body's, as its inertia does [s]."""
+STRIDE: Final = 0.7
+"""Time over which both ways are averaged before they are compared [s]: within a step they differ."""
 PLANE: Final = np.array([1.0, 0.0, 1.0])
 MOST_STEP: Final = 0.5
 """A step of the given translation between two frames that is longer tells nothing about the scale [m]."""
@@ -30,8 +34,10 @@ class Ground:
         self._span = 1 / settings.fps
         self._points: np.ndarray | None = None
         self._given = self._place = np.zeros(3)
+        self._speed = np.zeros(3)
         self._floor: float | None = None
         self._matched = self._went = 0.0
+        self._ways = np.zeros((2, 3))
 
     @property
     def scale(self) -> float:
@@ -57,18 +63,23 @@ class Ground:
         if first:
             place = given * (self.scale if self._settings.translation == "given" else 0.0)
         elif self._settings.translation == "feet":
-            place = self._place + walked
+            self._speed += -float(np.expm1(-self._span / GLIDE)) * (walked / self._span - self._speed)
+            place = self._place + self._speed * self._span
         else:
             place = self._place + step * (1.0 if anew else self.scale)
         self._points, self._given, self._place = points, given, place
         return self._grounded(place, height + float(self._body.joints[0, 1]))
 
     def _match(self, walked: np.ndarray, step: np.ndarray) -> None:
-        """Compare the feet's way with the given one."""
+        """Compare the feet's speed with the given one."""
         flat = step * PLANE
-        if float(flat @ flat) < MOST_STEP**2:
-            self._matched += float(walked @ flat) / self._span
-            self._went += float(flat @ flat) / self._span
+        if float(flat @ flat) > MOST_STEP**2:
+            return
+        share = -float(np.expm1(-self._span / STRIDE))
+        self._ways += share * (np.stack([walked, flat]) / self._span - self._ways)
+        own, given = self._ways
+        self._matched += float(own @ given) * self._span
+        self._went += float(given @ given) * self._span
 
     def _grounded(self, place: np.ndarray, height: float) -> np.ndarray:
         if self._settings.translation == "feet":

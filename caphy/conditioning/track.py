@@ -44,8 +44,8 @@ class Track:
         self._samples = np.concatenate([self._samples[keep], sample[None]])
         self._trust = np.concatenate([self._trust[keep], trust[None]])
         self._still = np.all(self._samples == sample, axis=(0, 2)) & (trust > 0)
+        self._reference = np.where(((self.last == NEVER) & (trust > 0))[:, None], sample, self._reference)
         self.last = np.where(trust > 0, time, self.last)
-        self._reference = np.where((self.last == NEVER)[:, None], sample, self._reference)
 
     def forget(self, channels: np.ndarray) -> None:
         """Drop all samples so far of some channels (C,)."""
