@@ -13,6 +13,11 @@ LEAST_VIEWS = 2
 """Cameras that must have seen a place for it to be part of the scan."""
 TRUNCATION = 2.5
 """Distance behind a surface, in voxels, at which a camera stops to say anything."""
+CONFIRMED = 1.0
+"""Voxels that a vertex may lie from what a camera measured in its direction for the camera to confirm it.
+
+Without it a fringe of up to the truncation would grow along every silhouette.
+"""
 SMALLEST = 0.005
 """Share of all faces that a loose piece must have to stay."""
 
@@ -45,10 +50,12 @@ def fuse(views: list[View], voxel: float, noise: float, dropouts: int, random: n
     vertices, faces, _, _ = marching_cubes(grid, 0.0, mask=seen, gradient_direction="descent")
     faces = faces[_all_corners_seen(vertices, seen)[faces].all(axis=1)]
     vertices = vertices * voxel + low
+    colours, labels, views_of = _painted(views, vertices, CONFIRMED * voxel)
+    faces = faces[(views_of >= LEAST_VIEWS)[faces].all(axis=1)]
     faces = _without_holes_of_dropouts(vertices, faces, dropouts, random)
-    vertices, faces = _without_crumbs(vertices, faces)
-    colours, labels = _painted(views, vertices, 3 * voxel)
-    return Fused(vertices + _noise(vertices, faces, noise, random), faces.astype(np.int32), colours, labels)
+    used, faces = _without_crumbs(len(vertices), faces)
+    vertices = vertices[used] + _noise(vertices[used], faces, noise, random)
+    return Fused(vertices, faces.astype(np.int32), colours[used], labels[used])
 
 
 def _points(view: View) -> np.ndarray:
@@ -128,22 +135,26 @@ def _without_holes_of_dropouts(
     return faces[keep[faces].all(axis=1)]
 
 
-def _without_crumbs(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh without loose pieces smaller than :data:`SMALLEST` and without vertices that no face uses."""
+def _without_crumbs(count: int, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of ``count`` vertices stay, and the faces among them, without loose pieces below :data:`SMALLEST`."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     pairs = np.concatenate([faces[:, :2], faces[:, 1:]])
-    graph = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), (len(vertices),) * 2)
+    graph = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), (count, count))
     _, piece = connected_components(graph, directed=False)
     size = np.bincount(piece[faces[:, 0]], minlength=piece.max() + 1)
     faces = faces[size[piece[faces[:, 0]]] >= SMALLEST * len(faces)]
     used, renumbered = np.unique(faces, return_inverse=True)
-    return vertices[used], renumbered.reshape(-1, 3)
+    return used, renumbered.reshape(-1, 3)
 
 
-def _painted(views: list[View], vertices: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Colours (V, 3) uint8 and true labels (V,) uint8 from the cameras that see each vertex, the straightest most."""
+def _painted(views: list[View], vertices: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colours (V, 3) uint8 and true labels (V,) uint8 from the cameras that see each vertex, the straightest most.
+
+    And how many cameras (V,) do: their depth there differs by less than ``reach`` [m].
+    """
+    views_of = np.zeros(len(vertices), dtype=int)
     colour, votes, weight = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     for view in views:
         offset = (vertices - view.origin) @ view.axes.T
@@ -158,8 +169,9 @@ def _painted(views: list[View], vertices: np.ndarray, reach: float) -> tuple[np.
         colour[inside] += w[:, None] * view.colour[at]
         votes[inside, view.label[at]] += w
         weight[inside] += w
+        views_of[inside] += 1
     colour /= np.maximum(weight, 1e-12)[:, None]
-    return np.rint(255 * colour).astype(np.uint8), votes.argmax(axis=1).astype(np.uint8)
+    return np.rint(255 * colour).astype(np.uint8), votes.argmax(axis=1).astype(np.uint8), views_of
 
 
 def _noise(vertices: np.ndarray, faces: np.ndarray, size: float, random: np.random.Generator) -> np.ndarray:
