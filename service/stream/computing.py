@@ -36,6 +36,10 @@ class Work:
             frames.require_finite(engine.name, shown, state)
         except Problem as problem:
             self.failure = problem
+        self.keep(engine, shown, state)
+
+    def keep(self, engine: GarmentEngine, shown: np.ndarray, state: np.ndarray) -> None:
+        """Take in what a network answered, known to be finite."""
         self.shown[engine.name], self.states[engine.name] = shown, state
 
     def run(self, engine: GarmentEngine) -> None:
@@ -104,8 +108,9 @@ def _run_together(engine: GarmentEngine, weights: bool, works: list[Work]) -> bo
         shown, after = engine.run_together(poses, transl, states, weights)
     except Exception:
         return False
+    finite = bool(np.isfinite(shown).all() and np.isfinite(after).all())  # nearly always: one look for all
     for i, work in enumerate(works):
-        work.set(engine, shown[i : i + 1], after[i].copy())
+        (work.keep if finite else work.set)(engine, shown[i : i + 1], after[i].copy())
     return True
 
 
