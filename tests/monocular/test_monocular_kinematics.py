@@ -96,9 +96,28 @@ def test_an_arm_that_nobody_sees_hangs_in_reach(bundle: AvatarBundle, motion: Po
             joint = JOINT_NAMES.index(name)
             assert (vectors[joint] > low[joint] - 0.35).all(), name
             assert (vectors[joint] < high[joint] + 0.35).all(), name
-    trust = confidence(seen(points, visibility=hidden))
-    assert trust[JOINT_NAMES.index("left_elbow")] < 0.2
-    assert trust[JOINT_NAMES.index("right_elbow")] > 0.9
+
+
+def test_a_joint_is_trusted_as_the_least_of_its_landmarks(bundle: AvatarBundle, motion: PoseSequence) -> None:
+    visibility = np.ones(len(LANDMARKS))
+    visibility[LANDMARKS.index("left_wrist")] = 0.15
+    points = into_camera(landmark_places(bundle, motion.poses[:1], motion.transl[:1]))[0]
+    trust = confidence(seen(points, visibility=visibility))
+    assert trust[JOINT_NAMES.index("left_elbow")] == trust[JOINT_NAMES.index("left_wrist")] == 0.15
+    assert trust[JOINT_NAMES.index("left_shoulder")] == trust[JOINT_NAMES.index("right_elbow")] == 1
+
+
+def test_knees_and_elbows_do_not_bend_backwards(bundle: AvatarBundle) -> None:
+    """Landmarks of limbs that bend the wrong way by 40 degrees, as depth flips make them."""
+    poses = np.zeros((1, 55, 3))
+    wrong = {"left_knee": (0, -1), "right_knee": (0, -1), "left_elbow": (1, 1), "right_elbow": (1, -1)}
+    for name, (axis, sign) in wrong.items():
+        poses[0, JOINT_NAMES.index(name), axis] = sign * np.radians(40)
+    points = into_camera(landmark_places(bundle, poses, np.zeros((1, 3))))[0]
+    posture = Kinematics(Skeleton.of(bundle.joints), FOCAL, SIZE).fit(seen(points), 1 / 30)
+    vectors = turns_inverse(posture.rotations)
+    for name, (axis, sign) in wrong.items():
+        assert np.degrees(sign * vectors[JOINT_NAMES.index(name), axis]) < 6, name
 
 
 def test_a_person_of_another_size_takes_the_same_postures(bundle: AvatarBundle, motion: PoseSequence) -> None:

@@ -162,7 +162,7 @@ def _notes(video: Video, estimator: Estimator, record: Record) -> list[str]:
     if counts["cuts"]:
         notes.append(f"{counts['cuts']} cuts between scenes; each begins anew")
     if counts["jumps"]:
-        notes.append(f"{counts['jumps']} times the person was found somewhere else at once; taken for somebody else")
+        notes.append(f"the person was found somewhere else at once, {counts['jumps']}x; taken for somebody else")
     if not estimator.gravity.by_lines:
         notes.append(
             "no vertical lines were found; up is how the person stands in the mean, which may be off by 10 deg"
