@@ -16,7 +16,7 @@ LEG: Final = ("hip", "knee", "ankle", "foot")
 LEGS: Final = tuple(tuple(JOINT_NAMES.index(f"{side}_{name}") for name in LEG) for side in ("left", "right"))
 SPINE: Final = tuple(JOINT_NAMES.index(name) for name in ("spine1", "spine2", "spine3"))
 EVEN: Final = 0.01
-"""Height over which points of the soles share the body's weight [m]."""
+"""Height over which points of the soles stand together [m]."""
 STEP: Final = 0.05
 """Height over which one foot rather than the other is taken for the one stood on [m]."""
 
@@ -86,8 +86,7 @@ def bundled_body() -> Body:
     return Body(rest.joints, rest.sole)
 
 
-def bearing(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """How points of the soles (6, 3) share the body's weight (6,), and how high they stand together [m]."""
+def standing_height(points: np.ndarray) -> float:
+    """How high points of the soles (6, 3) stand together [m]: that of the lowest, without kinks in time."""
     lowest = points[:, 1].min()
-    shares = np.exp((lowest - points[:, 1]) / EVEN)
-    return shares / shares.sum(), float(lowest - EVEN * np.log(shares.mean() * len(shares)))
+    return float(lowest - EVEN * np.log(np.exp((lowest - points[:, 1]) / EVEN).sum()))

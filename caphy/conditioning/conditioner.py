@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from caphy.conditioning.blending import Offsets, eased
-from caphy.conditioning.body import Body, bearing, bundled_body
+from caphy.conditioning.body import Body, bundled_body, standing_height
 from caphy.conditioning.frame import Did, Frame, Summary
 from caphy.conditioning.gate import is_path_strange, is_pose_strange, names, strange_joints
 from caphy.conditioning.ground import Ground
@@ -247,7 +247,7 @@ class Conditioner:
         relaxed = rotated(turns, share[:, None] * between(turns, goal))
         if not share[0]:
             return relaxed, place
-        rise = bearing(self.body.soles(turns))[1] - bearing(self.body.soles(relaxed))[1]
+        rise = standing_height(self.body.soles(turns)) - standing_height(self.body.soles(relaxed))
         return relaxed, place + np.array([0.0, rise, 0.0])
 
     def _approached(

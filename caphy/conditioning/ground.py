@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from caphy.conditioning.body import Body, bearing
+from caphy.conditioning.body import Body, standing_height
 from caphy.conditioning.settings import Conditioning
 
 SINK: Final = 0.3
@@ -17,10 +17,18 @@ PRIOR: Final = 0.1
 """Way times speed that must be gone before the scale is the feet's rather than one [m^2/s]."""
 SCALES: Final = (0.5, 2.0)
 """Between which the estimated scale lies."""
-GLIDE: Final = 0.1
+GLIDE: Final = 0.05
 """Time over which the speed that the feet tell becomes the body's, as its inertia does [s]."""
 STRIDE: Final = 0.7
-"""Time over which both ways are averaged before they are compared [s]: within a step they differ."""
+"""Time over which both speeds are averaged before they are compared [s]: within a step they differ."""
+LOW: Final = 0.08
+"""A sole higher than this above the other does not stand [m]."""
+CLOSE: Final = 0.05
+"""Height over which soles are likely to stand [m]."""
+STILL: Final = 0.3
+"""Speed over the ground at which soles are likely to stand [m/s]."""
+LEAST_SPEED: Final = 0.4
+"""A slower body sways or turns, and does not walk [m/s]."""
 PLANE: Final = np.array([1.0, 0.0, 1.0])
 MOST_STEP: Final = 0.5
 """A step of the given translation between two frames that is longer tells nothing about the scale [m]."""
@@ -37,7 +45,7 @@ class Ground:
         self._speed = np.zeros(3)
         self._floor: float | None = None
         self._matched = self._went = 0.0
-        self._ways = np.zeros((2, 3))
+        self._ways = np.zeros(2)
 
     @property
     def scale(self) -> float:
@@ -52,34 +60,39 @@ class Ground:
         anew: whether the frame does not go on from the one before.
         """
         points = self._body.soles(turns)
-        shares, height = bearing(points)
+        height = standing_height(points)
         first = self._points is None
-        walked = np.zeros(3) if self._points is None else -shares @ (points - self._points) * PLANE
+        speeds = np.zeros_like(points) if self._points is None or anew else (points - self._points) * PLANE / self._span
         step = given - self._given
-        if anew:
-            walked = np.zeros(3)
-        elif not first:
-            self._match(walked, step)
+        if not (first or anew):
+            self._match(speeds[low(points)], step * PLANE / self._span)
+        self._carry(points, speeds)
         if first:
             place = given * (self.scale if self._settings.translation == "given" else 0.0)
         elif self._settings.translation == "feet":
-            self._speed += -float(np.expm1(-self._span / GLIDE)) * (walked / self._span - self._speed)
             place = self._place + self._speed * self._span
         else:
             place = self._place + step * (1.0 if anew else self.scale)
         self._points, self._given, self._place = points, given, place
         return self._grounded(place, height + float(self._body.joints[0, 1]))
 
-    def _match(self, walked: np.ndarray, step: np.ndarray) -> None:
-        """Compare the feet's speed with the given one."""
-        flat = step * PLANE
-        if float(flat @ flat) > MOST_STEP**2:
+    def _carry(self, points: np.ndarray, speeds: np.ndarray) -> None:
+        """The body's speed by the soles that are low and, if it goes on as it does, stand still."""
+        over = np.einsum("pi,pi->p", speeds + self._speed, speeds + self._speed)
+        shares = np.exp((over.min() - over) / STILL**2 + (points[:, 1].min() - points[:, 1]) / CLOSE)
+        told = -(shares / shares.sum()) @ speeds
+        self._speed = self._speed - float(np.expm1(-self._span / GLIDE)) * (told - self._speed)
+
+    def _match(self, speeds: np.ndarray, given: np.ndarray) -> None:
+        """Compare the given speed with that of the low sole that goes back fastest: the one that is trodden on."""
+        size = float(np.linalg.norm(given))
+        if size * self._span > MOST_STEP or size < LEAST_SPEED:
             return
+        own = float((-speeds @ given).max()) / size
         share = -float(np.expm1(-self._span / STRIDE))
-        self._ways += share * (np.stack([walked, flat]) / self._span - self._ways)
-        own, given = self._ways
-        self._matched += float(own @ given) * self._span
-        self._went += float(given @ given) * self._span
+        self._ways += share * (np.array([own, size]) - self._ways)
+        self._matched += float(self._ways[0] * self._ways[1]) * self._span
+        self._went += float(self._ways[1] ** 2) * self._span
 
     def _grounded(self, place: np.ndarray, height: float) -> np.ndarray:
         if self._settings.translation == "feet":
@@ -96,3 +109,8 @@ class Ground:
     def as_json(self) -> dict[str, Any]:
         """Scale and floor height [m], as far as they are used."""
         return {"scale": round(self.scale, 4), "floor": None if self._floor is None else round(self._floor, 4)}
+
+
+def low(points: np.ndarray) -> np.ndarray:
+    """Which points of the soles (6,) may stand."""
+    return points[:, 1] < points[:, 1].min() + LOW

@@ -10,11 +10,14 @@ import pytest
 from caphy.conditioning import Body, Conditioner, Conditioning, condition, condition_sequence
 from caphy.conditioning.body import bundled_body
 from caphy.conditioning.quaternions import exponential
+from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
+from caphy.io.poses import read_poses
 from caphy.io.poses.camera import OPENCV_TO_Y_UP, level_camera
 from caphy.io.poses.ground import sole_points, world_joints
-from caphy.io.procedural import procedural_motion
 from caphy.rotations import matrix_from_axis_angle
+
+JOINTS = ("hip", "knee", "ankle")
 
 
 @pytest.fixture(scope="module")
@@ -121,24 +124,57 @@ def test_the_floor_is_where_the_soles_are(walking, body):
     assert conditioner.world()["floor"] == pytest.approx(0.7, abs=0.03)
 
 
-def test_feet_carry_a_body_without_translation(walking, body):
-    frames = condition(
-        Conditioner(Conditioning(translation="feet")),
-        np.arange(len(walking)) / 30,
-        walking.poses,
-        np.zeros_like(walking.transl),
-    )
-    poses, transl = arrays(frames)
-    lowest = [(body.soles(exponential(p)) + body.joints[0] + t)[:, 1].min() for p, t in zip(poses, transl, strict=True)]
+@pytest.fixture(scope="module")
+def striding(body):
+    """Poses (T, 55, 3) and transl (T, 3) of eight seconds of stiff strides: the leg that is stood on turns steadily
+    about the hip, its sole level and still on the ground; the other is bent and swings ahead."""
+    hip, knee, ankle = ([JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right")] for name in JOINTS)
+    time = np.arange(240) / 30
+    poses = np.zeros((240, 55, 3))
+    stood = (time % 1.0 >= 0.5).astype(int)
+    share = time % 0.5 / 0.5
+    rows = np.arange(240)
+    for leg, sign in ((stood, 1), (1 - stood, -1)):
+        swing = sign * np.radians(40) * (share - 0.5)
+        bend = np.radians(50) * np.sin(np.pi * share) * (sign < 0)
+        poses[rows, np.array(hip)[leg], 0] = swing - bend / 2
+        poses[rows, np.array(knee)[leg], 0] = bend
+        poses[rows, np.array(ankle)[leg], 0] = -swing - bend / 2
+    soles = np.array([body.soles(exponential(p)) for p in poses]).reshape(240, 2, 3, 3).mean(axis=2)
+    steps = -(soles[rows[1:], stood[1:]] - soles[rows[:-1], stood[1:]]) * [1, 0, 1]
+    return poses, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+
+def test_feet_carry_a_body_without_translation(striding, body):
+    poses, transl = striding
+    conditioner = Conditioner(Conditioning(translation="feet"))
+    frames = condition(conditioner, np.arange(240) / 30, poses, np.zeros_like(transl))
+    carried = arrays(frames)[1]
+    lowest = [
+        (body.soles(exponential(p)) + body.joints[0] + t)[:, 1].min() for p, t in zip(poses, carried, strict=True)
+    ]
     assert np.abs(lowest).max() < 0.02
-    way, true = (np.linalg.norm(np.diff(t[::20, [0, 2]], axis=0), axis=1).sum() for t in (transl, walking.transl))
-    assert way == pytest.approx(true, rel=0.2)
+    assert transl[-1, 2] > 5
+    assert carried[-1, 2] == pytest.approx(transl[-1, 2], rel=0.1)
+    assert abs(carried[-1, 0]) < 0.3
 
 
 @pytest.mark.parametrize("size", [0.7, 1.3])
-def test_the_steps_tell_the_size(size, body):
-    """Feet that tread on the spot while the given translation is too small or too large."""
-    motion = procedural_motion(0, 20.0, 30.0)
+def test_the_steps_tell_the_size(size, striding):
+    poses, transl = striding
     conditioner = Conditioner(Conditioning(scale=None))
-    condition(conditioner, np.arange(len(motion)) / 30, motion.poses, motion.transl * [size, 1, size])
-    assert conditioner.world()["scale"] == pytest.approx(1 / size, rel=0.15)
+    frames = condition(conditioner, np.arange(240) / 30, poses, transl * [size, 1, size])
+    assert conditioner.world()["scale"] == pytest.approx(1 / size, rel=0.1)
+    late = arrays(frames)[1][120:, 2]
+    assert late[-1] - late[0] == pytest.approx(transl[-1, 2] - transl[120, 2], rel=0.1)
+
+
+def test_captured_walks_are_carried_as_far_as_they_went(shared_data):
+    clip = read_poses(shared_data / "cmu_mocap" / "bvh" / "02_01.bvh").resample(30.0)
+    conditioner = Conditioner(Conditioning(translation="feet"))
+    frames = condition(conditioner, np.arange(len(clip)) / 30, clip.poses, clip.transl)
+    way = np.linalg.norm((frames[-1].transl - frames[0].transl)[[0, 2]])
+    assert way == pytest.approx(np.linalg.norm((clip.transl[-1] - clip.transl[0])[[0, 2]]), rel=0.1)
+    conditioner = Conditioner(Conditioning(scale=None))
+    condition(conditioner, np.arange(len(clip)) / 30, clip.poses, 0.7 * clip.transl)
+    assert conditioner.world()["scale"] == pytest.approx(1 / 0.7, rel=0.1)
