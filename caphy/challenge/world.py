@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,7 @@ def make(
     frames: int = 48,
     wrong: float = 0.0,
     cache: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> World:
     """Simulate a scene with something hidden in it, and measure it.
 
@@ -64,6 +65,7 @@ def make(
         frames: of each measurement.
         wrong: by how much, up and down in turn, the user's stiffnesses are off, as a share.
         cache: folder in which simulations are kept; noise is added afterwards.
+        progress: told how many motions of how many are done.
 
     Raises:
         CaphyError: no such scene, or the cloth flew apart.
@@ -73,10 +75,12 @@ def make(
     hidden = hidden.drawn(scene, np.random.default_rng([seed, 1]))
     stage = SCENES[scene](seed, frames, hidden.same_mesh)
     found: dict[str, list[Measurement]] = {"train": [], "held_out": [], "base": []}
-    for play in stage.plays:
+    for done, play in enumerate(stage.plays, 1):
         film = record(stage, play, Hidden("nothing") if play.part == "base" else hidden, seed, frames, cache)
         random = np.random.default_rng([seed, 2, ord(play.part[0]), play.number])
         found[play.part].append(seen_by_user(stage, play, film, noise_mm, points, random))
+        if progress is not None:
+            progress(done, len(stage.plays))
     model = _astray(stage.model, wrong)
     answer = _answer(stage, hidden, seed, noise_mm, points, frames, wrong)
     return World(model, tuple(found["train"]), tuple(found["held_out"]), tuple(found["base"]), answer)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from caphy.commands.compare import _write_text
+from caphy.commands.compare import Progress, _write_text
 from caphy.errors import CaphyError
 
 
@@ -21,10 +21,12 @@ class New:
     """What is hidden, how strongly, the motions and the noise all follow from it."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for model.json, train_*.npz, base_*.npz, held_out_*.npz and the sealed answer."""
-    scene: Literal["square"] = "square"
-    """What is measured: a square of cloth, shaken by two corners."""
+    scene: Literal["square", "skirt", "tshirt"] = "square"
+    """What is measured: a square of cloth shaken by two corners, or a garment on a moving body."""
     noise: float = 1.0
     """Standard deviation of each measured coordinate [mm]."""
+    points: int | None = None
+    """Points in each frame's cloud; without it the cloth's vertices are measured."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +59,19 @@ def new(command: New) -> None:
 
     if command.noise < 0 or command.seed < 0:
         raise CaphyError(f"seed and noise must not be negative, got {command.seed} and {command.noise}")
+    if command.points is not None and command.points < 1:
+        raise CaphyError(f"--points must be positive, got {command.points}")
     names = sorted(HIDDEN)
     hidden = HIDDEN[names[int(np.random.default_rng([command.seed, 7]).integers(len(names)))]]
-    print("simulating: about half a minute", flush=True)
-    world = make(command.scene, hidden, command.seed, noise_mm=command.noise)
+    with Progress("simulating") as progress:
+        world = make(
+            command.scene,
+            hidden,
+            command.seed,
+            noise_mm=command.noise,
+            points=command.points,
+            progress=lambda done, total: progress("motions", done, total),
+        )
     command.output.mkdir(parents=True, exist_ok=True)
     parts = {"train": world.train, "base": world.base, "held_out": world.held_out}
     paths: dict[str, list[str]] = {part: [] for part in parts}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text, load_model
 from caphy.errors import CaphyError
 
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Diagnose:
-    """Tell which physical effect a model lacks: diagnosis.json, diagnosis.html, and the model with it, model.json."""
+    """Tell which physical effect a model lacks: diagnosis.json, diagnosis.html, and the model with it, model.json.
+
+    With held-out measurements, before_after.html shows the error fall there.
+    """
 
     model: tyro.conf.Positional[str]
     """A physics model's JSON, "snug", or a measured fabric's name."""
@@ -49,7 +53,10 @@ def main(arguments: list[str]) -> None:
     if tables:
         _diagnose_curves(command, model)
         return
-    write(_diagnosed(command, model), command)
+    diagnosis = _diagnosed(command, model)
+    write(diagnosis, command)
+    if command.held_out and diagnosis.verdict in ("named", "parameters"):
+        _before_after(model, diagnosis.model, command)
 
 
 def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
@@ -98,6 +105,19 @@ def write(diagnosis: Diagnosis, command: Diagnose) -> None:
         added = " ".join(f"--add {name}" for name in diagnosis.found)
         files = " ".join(map(str, command.measurements))
         print(f"next: caphy refit {command.model} {files} {added} -o {command.output / 'refitted.json'}")
+
+
+def _before_after(before: Model, after: Model, command: Diagnose) -> None:
+    from caphy.body.model import BodyModel
+    from caphy.garment.template import Garment
+    from caphy.io.measurements import read_measurement
+
+    proof = [read_measurement(command.held_out[0])]
+    garment = None if command.garment is None else Garment.load(command.garment)
+    body = None if command.body is None else BodyModel.load(command.body)
+    page = command.output / "before_after.html"
+    _write_text(page, before_and_after(Path(command.model).stem, before, after, proof, garment, body))
+    print(f"before and after, on measurements that nothing was fitted to: {page}")
 
 
 def _page(diagnosis: Diagnosis, told: dict, command: Diagnose) -> str:

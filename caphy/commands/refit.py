@@ -8,17 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text
 from caphy.commands.diagnose import physics_model
 from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from caphy.body.model import BodyModel
     from caphy.effects.model import Model
-    from caphy.garment.template import Garment
-    from caphy.io.measurements import Measurement
     from caphy.refit.refit import Refit
 
 
@@ -92,7 +88,8 @@ def _refit(command: RefitCommand, model: Model) -> None:
     command.output.parent.mkdir(parents=True, exist_ok=True)
     _write_text(command.output, new.to_json())
     page = command.output.with_suffix(".html")
-    _write_text(page, _page(command, model, new, (proof or measured)[:1], garment, body))
+    name = Path(command.model).stem
+    _write_text(page, before_and_after(name, model, new, (proof or measured)[:1], garment, body))
     print(f"\n{command.output}\n{page}")
     print(f"next: caphy train --init AVATAR --model {command.output} ...   (the network learns it)")
 
@@ -109,33 +106,3 @@ def table(found: Refit) -> str:
         f"held-out median distance: {held.before_mm:.2f} -> {held.after_mm:.2f} mm{floor}",
     ]
     return "\n".join([*lines, found.reason] if found.reason else lines)
-
-
-def _page(
-    command: RefitCommand,
-    before: Model,
-    after: Model,
-    measured: Sequence[Measurement],
-    garment: Garment | None,
-    body: BodyModel | None,
-) -> str:
-    """The heat map of the first held-out measurement, before and after, on one page."""
-    from dataclasses import replace
-
-    from caphy import __version__
-    from caphy.measure.comparison import compare
-    from caphy.measure.pictures import section
-    from caphy.measure.prediction import predict_in_windows
-    from caphy.measure.scene import Scene
-    from caphy.report.page.compose import comparison_page
-
-    sections = []
-    for when, model in (("before", before), ("after", after)):
-        for measurement in measured:
-            scene = Scene.of(replace(measurement, name=f"{measurement.name}, {when}"), garment, body)
-            with Progress(f"page, {when}") as progress:
-                prediction = predict_in_windows(scene, model, progress=progress)
-            sections.append(section(compare(prediction, scene.measurement, scene.regions)))
-    facts = {"model": str(command.output), "written by": f"caphy {__version__}"}
-    added = ", ".join(name for name in after.effects if name not in before.effects) or "parameters"
-    return comparison_page(f"{Path(command.model).stem}: before and after {added}", sections, facts)

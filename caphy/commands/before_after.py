@@ -1,0 +1,46 @@
+"""A page that shows a model before and after a change, side by side on the same measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from caphy.commands.compare import Progress
+
+if TYPE_CHECKING:
+    from caphy.body.model import BodyModel
+    from caphy.effects.model import Model
+    from caphy.garment.template import Garment
+    from caphy.io.measurements import Measurement
+
+
+def before_and_after(
+    name: str,
+    before: Model,
+    after: Model,
+    measured: Sequence[Measurement],
+    garment: Garment | None = None,
+    body: BodyModel | None = None,
+) -> str:
+    """The heat maps of measurements before and after, as one self-contained HTML page; ``name`` is the model's."""
+    from caphy import __version__
+    from caphy.measure.comparison import compare
+    from caphy.measure.pictures import section
+    from caphy.measure.prediction import predict_in_windows
+    from caphy.measure.scene import Scene
+    from caphy.measure.track import registered
+    from caphy.report.page.compose import comparison_page
+
+    sections = []
+    for when, model in (("before", before), ("after", after)):
+        for measurement in measured:
+            given = replace(measurement, name=f"{measurement.name}, {when}")
+            with Progress(f"page, {when}") as progress:
+                scene = registered(Scene.of(given, garment, body), model, progress)
+                prediction = predict_in_windows(scene, model, progress=progress)
+            prediction = replace(prediction, registered=given.registered)
+            sections.append(section(compare(prediction, given, scene.regions)))
+    facts = {"model": name, "written by": f"caphy {__version__}"}
+    added = ", ".join(effect for effect in after.effects if effect not in before.effects) or "parameters"
+    return comparison_page(f"{name}: before and after {added}", sections, facts)
