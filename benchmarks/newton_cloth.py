@@ -15,8 +15,9 @@ Force = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
 FPS = 30
 SUBSTEPS = 12
-ITERATIONS = 10
-"""Of VBD in each substep; fewer make the cloth softer."""
+ITERATIONS = 50
+"""Of VBD in each substep; fewer make the cloth softer: with 10, cloth of 625 vertices hangs as if its stiffness were a
+third."""
 
 
 @dataclass(frozen=True)
