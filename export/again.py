@@ -12,7 +12,7 @@ from caphy.io.bundle import AvatarBundle, BundledGarment
 from caphy.io.onnx_wire import read_graph
 from caphy.network.from_graph import network_of
 from export.garment_graph import garment_graph
-from export.head import Head, with_head
+from export.head import Head
 from export.parity import Parity, check_parity
 
 
@@ -27,7 +27,7 @@ def exported_again(bundle: AvatarBundle) -> tuple[AvatarBundle, dict[str, Parity
         network = network_of(garment, bundle.joints, bundle.fps)
         head = head_of(garment)
         content = garment_graph(network, head, garment.name).SerializeToString()
-        parities[garment.name] = check_parity(content, with_head(network, head))
+        parities[garment.name] = check_parity(content, network)
         metrics[garment.name] = {**metrics.get(garment.name, {}), **parities[garment.name].metrics()}
         found.append(replace(garment, onnx=content))
     return replace(bundle, garments=tuple(found), metrics=metrics), parities
