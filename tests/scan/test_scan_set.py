@@ -63,13 +63,15 @@ def test_obj_with_a_texture_keeps_the_order_of_its_vertices(tmp_path):
     assert list(scan.colours[3]) == [0, 0, 255]
 
 
-def test_glb(tmp_path):
+def test_glb_whose_triangles_share_no_vertices_is_joined(tmp_path):
     _describe(tmp_path)
     mesh = BOX.copy()
     mesh.visual.vertex_colors = _coloured(len(mesh.vertices))
+    mesh.unmerge_vertices()
     mesh.export(tmp_path / "one.glb")
     (scan,) = ScanSet.read(tmp_path)
-    assert len(scan.vertices) == len(np.unique(mesh.vertices, axis=0))
+    assert len(scan.vertices) == len(BOX.vertices) < len(mesh.vertices)
+    assert trimesh.Trimesh(scan.vertices, scan.faces, process=False).is_watertight
     assert np.ptp(scan.vertices, axis=0) == pytest.approx([0.4, 1.7, 0.3], abs=1e-6)
     key = {tuple(np.round(v, 5)): c for v, c in zip(mesh.vertices, mesh.visual.vertex_colors[:, :3], strict=True)}
     assert all(np.array_equal(key[tuple(np.round(v, 5))], c) for v, c in zip(scan.vertices, scan.colours, strict=True))
