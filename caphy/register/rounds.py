@@ -21,7 +21,7 @@ SKIN_ROUNDS = 4
 POSE_STEPS = 2
 POSE_POINTS, SKIN_POINTS = 3000, 6000
 """Scan points that poses and the displacement are fitted to, for each scan."""
-INDEPENDENT = 0.4
+INDEPENDENT = 2.0
 """Scans' worth of evidence on the shape: the same skin and cloth err alike in each, unlike a pose's errors."""
 ROUNDS = len(SHAPE_REACHES) + SKIN_ROUNDS
 

@@ -17,7 +17,7 @@ from caphy.register.cloud import Cloud
 
 MARGIN = 0.004
 """How far cloth that touches lies above the skin [m]: its contact distance and half its thickness."""
-DRAW = 0.002
+DRAW = 0.001
 """Weight of a cloth point that hangs free, against one of a skin point."""
 HANG = 0.008
 """Gap beyond the margin at which the draw of free cloth has fallen to a quarter [m]."""

@@ -30,6 +30,8 @@ BORDER = 0.05
 
 Distances alone are blind to it: cutting off a hem that stands off further than the rest lowers the mean."""
 LEAST_POINTS = 50
+NOTHING = 1.0
+"""Score [m] of a style of which fewer points than these are seen."""
 USUAL = 0.0005
 """Cost [m] of a length that lies a whole range from the family's default: decides what no camera saw."""
 
@@ -104,7 +106,7 @@ class Judge:
         for target, posed, away, (known, cloth) in zip(self.targets, self._posed, self._away, self._seen, strict=True):
             shown = kept & known
             if shown.sum() < LEAST_POINTS:
-                return float("inf")
+                return NOTHING
             wrong = ((kept != cloth) & known).sum() / shown.sum()
             score += 0.5 * (away[shown].mean() + target.to_garment(posed[kept])) + BORDER * wrong
         return score / len(self.targets) + self._unusual(style)

