@@ -8,9 +8,9 @@ Every line is one video. "joints": position after rigid alignment. "arm", "leg":
 and knee against their parents, twist included, and after the stroke of the bones' directions. "up": gravity.
 "garment": vertices against those of the true poses, pelvis on pelvis. "jitter": rms acceleration of vertices against
 the true ones, of the poses as estimated and conditioned; "acc true" is the true one's own, which garments that stand
-still would score. "lag": the shift at which the joints' angles come nearest to the truth, after the time
-stamps; the latency stated comes on top. "cpu ms": processor time of the client for each picture, all threads; it
-depends less than "fps" on what else the machine does.
+still would score. "lag": the shift [ms] at which joints' angles come nearest, of the estimate to the truth and of the
+conditioned poses to the estimate; the latency that conditioning states, 60 ms, comes on top. "cpu ms": processor time
+of the client for each picture, all threads; it depends less than "fps" on what else the machine does.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Arguments:
 
 COLUMNS = (
     *("joints mm", "arm deg", "arm bones", "leg deg", "leg bones", "up deg", "garment mm"),
-    *("jitter raw", "jitter cond", "ratio", "acc true", "lag ms", "fps", "cpu ms"),
+    *("jitter raw", "jitter cond", "ratio", "acc true", "lag est", "lag cond", "fps", "cpu ms"),
 )
 
 
@@ -115,6 +115,7 @@ def row(bundle: AvatarBundle, record: dict[str, np.ndarray], truth: dict[str, np
     calm = _at(moments, record["frame_time"], Motion(record["frame_poses"], record["frame_transl"]))
     place = Place(record, truth, bundle, moments)
     worn = dressed(bundle, true), place.vertices(dressed(bundle, raw)), place.vertices(dressed(bundle, calm))
+    lags = 1e3 * lag(raw, true, FPS), 1e3 * lag(calm, raw, FPS)
     calm = place.motion(calm)
     noise = jitter(worn[1], worn[0], FPS), jitter(worn[2], worn[0], FPS)
     still = {name: vertices[:1].repeat(len(moments), 0) for name, vertices in worn[0].items()}
@@ -123,9 +124,7 @@ def row(bundle: AvatarBundle, record: dict[str, np.ndarray], truth: dict[str, np
     count = len(record["time"])
     speed = count / float(record["seconds"]), 1e3 * float(record["processor"]) / count
     figures = [joint_error(bundle, calm, true), *angles[0], *angles[1], place.gravity_error(), garment]
-    return np.array(
-        [*figures, *noise, noise[0] / noise[1], jitter(still, worn[0], FPS), 1e3 * lag(calm, true, FPS), *speed]
-    )
+    return np.array([*figures, *noise, noise[0] / noise[1], jitter(still, worn[0], FPS), *lags, *speed])
 
 
 def _at(moments: np.ndarray, times: np.ndarray, motion: Motion) -> Motion:
