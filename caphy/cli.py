@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+import signal
 import sys
 
 from caphy.errors import CaphyError
@@ -47,7 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
         return 2
     try:
-        return importlib.import_module(f"caphy.commands.{name.replace('-', '_')}").main(rest) or 0
+        status = importlib.import_module(f"caphy.commands.{name.replace('-', '_')}").main(rest) or 0
+        sys.stdout.flush()
+        return status
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] in ("caphy", "service", "export"):
             raise
@@ -59,6 +63,9 @@ def main(arguments: list[str] | None = None) -> int:
     except CaphyError as error:
         print(f"caphy {name}: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever reads our output has seen enough, as in caphy effects list | head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
+        return 128 + signal.SIGPIPE
     except KeyboardInterrupt:
         return 130
 
