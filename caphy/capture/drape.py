@@ -30,7 +30,7 @@ SETTLING = 3
 """Steps of a quarter second in which the coarse cloth comes to rest."""
 ROUGH, FINE = 1e-2, 1e-4
 """Tolerances of the coarse way and of the final drape [N]; a fine vertex weighs about 5e-4 N."""
-FEW, MANY = 12, 70
+FEW, MANY = 8, 50
 """Most Newton iterations of a step on the coarse way, and of the final drape; a report says where they ran out."""
 GAP = 0.002
 """Distance of the upper garment from the lower one where it lies on it [m]."""
