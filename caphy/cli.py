@@ -48,6 +48,10 @@ def main(arguments: list[str] | None = None) -> int:
     if name not in COMMANDS:
         print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
         return 2
+    return _run(name, rest)
+
+
+def _run(name: str, rest: list[str]) -> int:
     try:
         status = importlib.import_module(f"caphy.commands.{name.replace('-', '_')}").main(rest) or 0
         sys.stdout.flush()
@@ -55,19 +59,19 @@ def main(arguments: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.split(".")[0] in ("caphy", "service", "export"):
             raise
-        print(
-            f"caphy {name}: needs {error.name!r}; install it with: pip install 'caphy[train]'",
-            file=sys.stderr,
-        )
-        return 2
+        return _refused(name, f"needs {error.name!r}; install it with: pip install 'caphy[train]'")
     except CaphyError as error:
-        print(f"caphy {name}: {error}", file=sys.stderr)
-        return 2
+        return _refused(name, str(error))
     except BrokenPipeError:  # whoever reads our output has seen enough, as in caphy effects list | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
         return 128 + signal.SIGPIPE
     except KeyboardInterrupt:
         return 130
+
+
+def _refused(name: str, why: str) -> int:
+    print(f"caphy {name}: {why}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":
