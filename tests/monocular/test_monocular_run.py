@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from people import into_camera, landmark_places, seen
 
-from caphy.conditioning import Conditioning
+from caphy.conditioning import Conditioning, Did, Frame
 from caphy.io.bundle import AvatarBundle
 from caphy.io.poses import PoseSequence, read_poses
 from service.clients.monocular import __main__ as command
@@ -171,6 +171,19 @@ def test_stream_and_requests_dress_alike_and_a_gap_is_calm(
     assert np.isfinite(worn[0]).all()
     speed = np.linalg.norm(np.diff(worn[0], axis=0), axis=-1) * 30
     assert speed[3:].max() < 8  # hands of the motion itself reach 3 m/s
+
+
+@pytest.mark.parametrize("kind", [StreamWardrobe, RequestWardrobe])
+def test_after_a_reset_garments_begin_anew(kind: type, motion: PoseSequence, service: str) -> None:
+    frames = [
+        Frame(t / 30, motion.poses[t], motion.transl[t], Did.RESET if t == 10 else Did.NOTHING) for t in range(20)
+    ]
+    worn = []
+    for part in (frames, frames[10:]):
+        wardrobe = kind(service, "default", 30.0)
+        worn.append(np.stack([garments["tshirt"] for garments in wardrobe.wear(part)]))
+        wardrobe.close()
+    np.testing.assert_allclose(worn[0][10:], worn[1], atol=1e-6)
 
 
 def test_the_world_turns_without_a_jump_when_up_is_found_late(bundle: AvatarBundle, motion: PoseSequence) -> None:
