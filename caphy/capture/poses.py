@@ -9,6 +9,7 @@ import numpy as np
 
 from caphy.body.model import BodyModel
 from caphy.conventions import BODY_JOINT_COUNT, JOINT_COUNT, JOINT_NAMES
+from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
 from caphy.rotations import axis_angle_from_matrix, matrix_from_axis_angle
@@ -26,10 +27,18 @@ def capture_poses(clips: Path | None, count: int, body: BodyModel, seed: int) ->
 
     Without a folder they come from procedural motions. Each person stands over the origin, on y = 0. Stills are
     chosen to be unlike one another: the farthest from those already chosen, of five times as many drawn at random.
+
+    Raises:
+        CaphyError: the clips cannot be read, or hold too few stills.
     """
     random = np.random.default_rng([seed, 2])
     pool = np.concatenate([_stills(clip) for clip in _clips(clips, seed)])
     pool = pool[np.linalg.norm(pool[:, 1:3], axis=2).max(axis=1) < LARGEST_BEND]
+    if len(pool) < count - 1:
+        raise CaphyError(
+            f"{clips}: its motions give {len(pool)} stills {EVERY} s apart, fewer than {count - 1}; add motions or ask "
+            "for fewer scans"
+        )
     pool = pool[random.permutation(len(pool))[: max(5 * count, 50)]]
     poses = np.concatenate([a_pose()[None], pool[_unlike(pool, count - 1)]])
     return placed(poses, body)

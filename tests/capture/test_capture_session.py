@@ -15,10 +15,13 @@ from small_session import PLAN, small_session
 from caphy.body.bundled import default_body
 from caphy.capture.drape import Dresser
 from caphy.capture.fusion import _noise
+from caphy.capture.poses import capture_poses
 from caphy.capture.session import capture, read_subject
 from caphy.capture.subject import make_subject
 from caphy.errors import CaphyError
 from caphy.io.poses import read_poses
+from caphy.io.poses.canonical import write_poses
+from caphy.io.procedural import procedural_motion
 
 NAMES = ("body", "upper", "lower")
 
@@ -100,6 +103,13 @@ def test_everybody_stands_on_the_ground_over_the_origin(session, subject):
     vertices = subject.body.pose(poses.poses, poses.transl)
     assert vertices[..., 1].min(axis=1) == pytest.approx(0, abs=1e-9)
     assert subject.body.posed_joints(poses.poses, poses.transl)[:, 0, [0, 2]] == pytest.approx(0, abs=1e-9)
+
+
+def test_too_few_motions_for_so_many_scans(tmp_path):
+    write_poses(procedural_motion(0, seconds=2.0), tmp_path / "clip.npz")
+    with pytest.raises(CaphyError, match="fewer than 29; add motions"):
+        capture_poses(tmp_path, 30, default_body("medium"), seed=0)
+    assert len(capture_poses(tmp_path, 5, default_body("medium"), seed=0)) == 5
 
 
 def test_the_body_is_nobody_s_shape_exactly(subject):
