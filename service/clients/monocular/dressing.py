@@ -16,6 +16,10 @@ from service.clients.monocular.estimator import Estimate
 from service.clients.stream import StreamClient, StreamRefused
 
 
+PATIENCE = 60.0
+"""How long the service may take for an answer [s]: a busy machine is no error."""
+
+
 @dataclass(frozen=True, eq=False)
 class Dressed:
     """A conditioned frame, the garments' vertices (V, 3) [m] by name, and the picture's estimate of that moment."""
@@ -57,7 +61,7 @@ class StreamWardrobe:
 
     def _worn(self, part: list[Frame]) -> list[dict[str, np.ndarray]]:
         self._stream.send(np.stack([frame.poses for frame in part]), np.stack([frame.transl for frame in part]))
-        vertices = self._stream.receive().meshes.vertices
+        vertices = self._stream.receive(PATIENCE).meshes.vertices
         return [{name: garment[t] for name, garment in vertices.items()} for t in range(len(part))]
 
     @property
