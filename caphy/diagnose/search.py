@@ -23,6 +23,8 @@ LEAST_GAIN_OVER_BASE = 0.01
 """The same where base measurements tell what is found when nothing is missing."""
 LEAST_WALD = 20.0
 """Squared estimate over squared error."""
+LEAST_WALD_OVER_BASE = 16.0
+"""The same with base measurements: four standard errors."""
 OVER_BASE = 2.0
 """How many times the best gain on base measurements, where nothing is missing."""
 MISTAKEN = 0.5
@@ -172,10 +174,12 @@ def _more_needed(group: Group, base: Base) -> float:
 
 def finalists(last: Screen, sure_of_parameters: bool = False) -> list[Score]:
     """The explanations worth a refit: those near the best of what is beyond chance."""
-    sure = [score for score in last.scores if last.enough(score) and score.wald >= LEAST_WALD]
+    beyond = [score for score in last.scores if last.enough(score)]
     if sure_of_parameters:
-        library = max((score.gain for score in sure if not score.group.own), default=0.0)
-        sure = [score for score in sure if not score.group.own or score.gain >= OWN * library]
+        library = max((score.gain for score in beyond if not score.group.own), default=0.0)
+        beyond = [score for score in beyond if not score.group.own or score.gain >= OWN * library]
+    wald = LEAST_WALD_OVER_BASE if sure_of_parameters else LEAST_WALD
+    sure = [score for score in beyond if score.wald >= wald]
     return [score for score in sure if score.gain >= _CLOSE * sure[0].gain][:FINALISTS]
 
 
