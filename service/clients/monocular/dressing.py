@@ -15,7 +15,6 @@ from service.client import Client
 from service.clients.monocular.estimator import Estimate
 from service.clients.stream import StreamClient, StreamRefused
 
-
 PATIENCE = 60.0
 """How long the service may take for an answer [s]: a busy machine is no error."""
 
