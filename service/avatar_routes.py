@@ -11,7 +11,7 @@ from fastapi.requests import HTTPConnection
 from caphy.io.bundle import AvatarBundle
 from service import mesh
 from service.avatars import Avatar
-from service.problem import Problem
+from service.errors import Problem
 
 AvatarId = Annotated[str, Path(description="an id that GET /avatars lists")]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {

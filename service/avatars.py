@@ -12,8 +12,8 @@ from typing import Any
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, AvatarBundle, BundledGarment, read_bundle
 from service.engine import GarmentEngine
+from service.errors import Problem
 from service.metrics import resident_bytes
-from service.problem import Problem
 
 
 class Avatar:

@@ -12,7 +12,7 @@ import numpy as np
 from caphy.conditioning import Body, Conditioner, Conditioning, Did, Frame, condition
 from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle
-from service.problem import Problem
+from service.errors import Problem
 from service.protocol import FramesRequest
 
 HEADER: Final = "caphy-conditioning"

@@ -16,7 +16,7 @@ from caphy.rotations import quaternion_from_axis_angle
 from service.conditioned import Conditioned
 from service.encodings import LABELS, Encoding, JointMotion, Meshes
 from service.engine import GarmentEngine
-from service.problem import Problem
+from service.errors import Problem
 from service.protocol import FramesRequest, FramesResponse
 from service.settings import Settings
 from service.settling import run_settling

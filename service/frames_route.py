@@ -13,9 +13,9 @@ from service.avatar_routes import AvatarId, find_avatar
 from service.conditioned import OFF, body_of, conditioned, header, parse_settings, require_conditionable
 from service.encodings import EncodingName
 from service.engine import GarmentEngine
+from service.errors import Problem
 from service.guard import hold_of
 from service.metrics import Metrics, Stages
-from service.problem import Problem
 from service.settings import Settings
 
 JSON_MEDIA_TYPE = "application/json"

@@ -18,8 +18,9 @@ from fastapi import Request
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.errors import Problem
 from service.metrics import Metrics
-from service.problem import Problem, problem_response
+from service.problem import problem_response
 from service.settings import Settings
 
 Answer = TypeVar("Answer")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import FastAPI
 
 import caphy
-from service.problem import Problem
+from service.errors import Problem
 
 
 def add_health(app: FastAPI) -> None:

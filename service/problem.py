@@ -11,15 +11,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from caphy.errors import CaphyError
-
-
-class Problem(CaphyError):
-    """A request that cannot be answered; ``status`` is the HTTP status."""
-
-    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None) -> None:
-        super().__init__(detail)
-        self.status = status
-        self.headers = dict(headers or {})
+from service.errors import Problem
 
 
 def problem_response(

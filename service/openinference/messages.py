@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from service.problem import Problem
+from service.errors import Problem
 
 HEADER_LENGTH: Final = "inference-header-content-length"
 DATATYPE: Final = "FP32"

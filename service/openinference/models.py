@@ -12,8 +12,8 @@ from caphy.conventions import JOINT_COUNT
 from service import frames
 from service.avatars import Avatar
 from service.engine import GarmentEngine
+from service.errors import Problem
 from service.openinference.messages import DATATYPE, InferRequest
-from service.problem import Problem
 from service.protocol import FramesRequest
 
 PLATFORM: Final = "onnxruntime_onnx"

@@ -11,8 +11,8 @@ import numpy as np
 from service import frames
 from service.encodings import Encoding, Meshes
 from service.engine import GarmentEngine
+from service.errors import Problem
 from service.metrics import Stages
-from service.problem import Problem
 from service.settling import run_settling
 from service.stream.session import Job, Session
 

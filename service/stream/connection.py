@@ -11,7 +11,7 @@ from fastapi import WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from caphy.errors import CaphyError
-from service.problem import Problem
+from service.errors import Problem
 from service.stream.limits import StreamLimits
 from service.stream.messages import Failure, Hello, Poses, decode_client, encode_failure
 from service.stream.scheduler import Member, Scheduler

@@ -13,8 +13,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from caphy.errors import CaphyError
 from service.avatar_routes import find_avatar
+from service.errors import Problem
 from service.metrics import Metrics, Stages
-from service.problem import Problem
 from service.stream.connection import Connection, StreamError
 from service.stream.limits import StreamLimits, read_limits
 from service.stream.messages import Failure, Hello, decode_client, encode_failure, encode_welcome

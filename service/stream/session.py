@@ -22,8 +22,8 @@ from service.avatars import Avatar
 from service.conditioned import body_of, parse_settings
 from service.encodings import Encoding, Meshes
 from service.engine import GarmentEngine
+from service.errors import Problem
 from service.frames import FPS_RANGE, Wanted
-from service.problem import Problem
 from service.protocol import FramesRequest
 from service.stream.clock import CausalClock
 from service.stream.conditioned import ConditionedClock, Conditions

@@ -14,7 +14,7 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle
 from caphy.io.poses import PoseSequence, placed_on, read_poses
-from service.problem import Problem
+from service.errors import Problem
 from service.protocol import FramesRequest, encode_request
 
 SUFFIXES: Final = (".npz", ".bvh")

@@ -20,9 +20,9 @@ from caphy.io.procedural import procedural_motion
 from service.client import Client
 from service.encodings import Encoding, JointMotion, Meshes, decode_meshes, encode_meshes
 from service.engine import GarmentEngine
+from service.errors import Problem
 from service.frames import Wanted, answer
 from service.normals import VertexNormals
-from service.problem import Problem
 from service.protocol import FramesRequest, FramesResponse, decode_response, encode_response
 
 STATED_MM = {Encoding.FLOAT16: 0.5, Encoding.UINT16: 0.03, Encoding.WEIGHTS: 0.2}

@@ -17,9 +17,9 @@ from test_app import BINARY, FRAMES, body_of, refused, still
 
 from service import frames, guard
 from service.app import create_app
+from service.errors import Problem
 from service.guard import Guard, Hold
 from service.metrics import Metrics
-from service.problem import Problem
 from service.settings import Settings
 
 
