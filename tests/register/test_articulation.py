@@ -76,3 +76,13 @@ def test_pose_statistics_know_no_left_or_right():
     np.testing.assert_allclose(mirrored(found.mean.reshape(21, 3)), found.mean.reshape(21, 3), atol=1e-12)
     np.testing.assert_allclose(mirrored(mirrored(poses[0, 1:22])), poses[0, 1:22])
     assert PoseStatistics.bundled().covariance.shape == (63, 63)
+
+
+def test_a_mirrored_pose_is_the_mirror_image():
+    body, poses = default_body(), np.zeros((1, 55, 3))
+    poses[0, 1:22] = 0.5 * np.random.default_rng(6).standard_normal((21, 3))
+    other = np.zeros_like(poses)
+    other[0, 1:22] = mirrored(poses[0, 1:22])
+    one, two = (body.posed_joints(each)[0] for each in (poses, other))
+    for left, right in ((20, 21), (7, 8), (21, 20), (15, 15)):
+        np.testing.assert_allclose(one[left] * [-1, 1, 1], two[right], atol=0.002)
