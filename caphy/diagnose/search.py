@@ -172,12 +172,16 @@ def _more_needed(group: Group, base: Base) -> float:
     return max(LEAST_GAIN if group.own else 0.0, MISTAKEN * base.mistaken.get(group.label, 0.0))
 
 
-def finalists(last: Screen, sure_of_parameters: bool = False) -> list[Score]:
-    """The explanations worth a refit: those near the best of what is beyond chance."""
+def finalists(last: Screen, sure_of_parameters: bool = False, first: bool = True) -> list[Score]:
+    """The explanations worth a refit: those near the best of what is beyond chance.
+
+    Parameters that base measurements told are no explanation of what an effect leaves over (``first`` is false then).
+    """
     beyond = [score for score in last.scores if last.enough(score)]
     if sure_of_parameters:
         library = max((score.gain for score in beyond if not score.group.own), default=0.0)
-        beyond = [score for score in beyond if not score.group.own or score.gain >= OWN * library]
+        own = OWN * library if first else np.inf
+        beyond = [score for score in beyond if not score.group.own or score.gain >= own]
     wald = LEAST_WALD_OVER_BASE if sure_of_parameters else LEAST_WALD
     sure = [score for score in beyond if score.wald >= wald]
     return [score for score in sure if score.gain >= _CLOSE * sure[0].gain][:FINALISTS]
@@ -185,7 +189,7 @@ def finalists(last: Screen, sure_of_parameters: bool = False) -> list[Score]:
 
 def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | None:
     last = found.screens[-1]
-    near = finalists(last, sure_of_parameters)
+    near = finalists(last, sure_of_parameters, not found.terms)
     if not near:
         return None
     if sure_of_parameters and near[0].gain < SMALL:

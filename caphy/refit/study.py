@@ -165,8 +165,14 @@ class Fit:
 
     @property
     def step(self) -> np.ndarray:
-        """The change (K,) that the windows still ask for; proportional ones of at most a factor of three at a time."""
-        limits = [(-0.6, 2.0) if c.entry is None else c.bounds(self.model) for c in self.columns]
+        """The change (K,) that the windows still ask for; proportional ones of at most a factor of three at a time, and
+        of ten in all."""
+        limits = [
+            (max(-0.6, 0.1 / (1 + so_far) - 1), min(2.0, 10 / (1 + so_far) - 1))
+            if c.entry is None
+            else c.bounds(self.model)
+            for c, so_far in zip(self.columns, self.change, strict=True)
+        ]
         lower, upper = np.array(limits).reshape(-1, 2).T
         return bounded(*self.evidence.normal, lower, upper)
 
