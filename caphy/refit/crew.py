@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,8 @@ from caphy.refit.tangents import Pushes
 
 MOST = 8
 """Processes at most; each holds its own copy of everything."""
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 Place = tuple[int, int]
 """A window: the number of its scene, and its first frame."""
@@ -40,6 +43,9 @@ class Crew:
         context = get_context("spawn")
         self._each = [ProcessPoolExecutor(1, context, _begin, (tuple(effect_files),)) for _ in range(size)]
         self._studies = 0
+        with _one_thread_each():
+            for each in self._each:
+                each.submit(int)  # begins the process
 
     def __enter__(self) -> Crew:
         return self
@@ -86,6 +92,21 @@ class Crew:
         finally:
             for future in found:
                 future.cancel()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes begun here use one thread: libraries read that when they are imported, and threads of several
+    processes that wait for each other take four times as long."""
+    before = {name: os.environ.pop(name, None) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            del os.environ[name]
+            if value is not None:
+                os.environ[name] = value
 
 
 _KNOWN: dict[int, list[Watched]] = {}
