@@ -20,7 +20,7 @@ import numpy as np
 import torch
 import tyro
 
-from benchmarks.newton_cloth import FPS, Fabric, Force, NewtonCloth, Surface, accelerated, air, nothing, pressed
+from benchmarks._newton_cloth import FPS, Fabric, Force, NewtonCloth, Surface, accelerated, air, nothing, pressed
 from caphy.challenge.sheets import corners, users_square
 from caphy.challenge.square import APART
 from caphy.challenge.swings import BASE, HELD_OUT, TRAINING, Swing, about_vertical, pin_path
