@@ -7,7 +7,7 @@ import signal
 from contextlib import ExitStack
 
 import numpy as np
-from live_service import live_service
+from live_service import live_service, wait_until
 
 from service.clients.stream import StreamClient
 from service.engine import GarmentEngine
@@ -18,6 +18,7 @@ def test_kill_9_of_every_worker_loses_no_frame(avatars, bundle, motion):
     arrays = motion.poses.astype(np.float32), motion.transl.astype(np.float32)
     whole, _ = engine.run(*arrays, engine.initial_state())
     with live_service(avatars, "--workers", "2") as service, ExitStack() as stack:
+        wait_until(lambda: service.count("ready") == 2)
         first = service.workers()
         assert len(first) == 2
         streams = [stack.enter_context(StreamClient(service.url, "shell", ["tshirt"], patience=60)) for _ in range(4)]
