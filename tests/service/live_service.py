@@ -87,7 +87,7 @@ def live_service(avatars: Path, *arguments: str, **environment: str) -> Iterator
             process.stdout.close()
 
 
-def wait_until(condition, seconds: float = 20.0) -> None:
+def wait_until(condition, seconds: float = 60.0) -> None:
     """Fail unless ``condition`` holds in so many seconds."""
     deadline = time.monotonic() + seconds
     while not condition():
