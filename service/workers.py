@@ -91,6 +91,7 @@ class Workers:
         finally:
             self._end_all()
             shutil.rmtree(folder, ignore_errors=True)
+            del os.environ[SHARED_FOLDER]  # what is started later must not look for it
             for number, handler in handlers.items():
                 signal.signal(number, handler)
 
