@@ -4,7 +4,8 @@
     OMP_NUM_THREADS=1 python -m benchmarks.newton RESULTS.jsonl [--films newton-films]
 
 289 vertices, 30 frames a second, 1 mm of noise; three motions, a held-out one, and two base ones with nothing hidden.
-Resumes.
+What the user believes is the challenge's square; Newton's elastic law is another one, and its damping is its time
+step's. Resumes.
 """
 
 from __future__ import annotations
@@ -22,12 +23,11 @@ import tyro
 
 from benchmarks._newton_cloth import FPS, Fabric, Force, NewtonCloth, Surface, accelerated, air, nothing, pressed
 from caphy.challenge.sheets import corners, users_square
-from caphy.challenge.square import APART
+from caphy.challenge.square import APART, MODEL
 from caphy.challenge.swings import BASE, HELD_OUT, TRAINING, Swing, about_vertical, pin_path
 from caphy.diagnose.base import from_base
 from caphy.diagnose.diagnosis import diagnose
 from caphy.diagnose.figures import figures
-from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.garment.template import Garment, read_npz, write_npz
 from caphy.io.measurements import Measurement
@@ -35,17 +35,6 @@ from caphy.measure.scene import Scene
 from caphy.refit.study import Study
 
 FRAMES, CALM, RUN_UP = 48, 15, 15
-MODEL = Model(
-    0.2,
-    {
-        "gravity": {},
-        "inertia": {},
-        "strain_stvk": {"lame_mu": 40.0, "lame_lambda": 25.0},
-        "bending": {"stiffness_weft": 6e-5, "stiffness_warp": 6e-5},
-        "bending_damping": {"viscosity": 2e-6},
-    },
-)
-"""What the user believes; Newton's elastic law is another one, and its damping is its time step's."""
 
 
 @dataclass(frozen=True)
