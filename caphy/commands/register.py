@@ -1,4 +1,4 @@
-"""``caphy register body|garments``: the body under the clothes of scans, and the templates of what is worn."""
+"""``caphy register body|garments|points``: the body under the clothes of scans, what is worn, what to train on."""
 
 from __future__ import annotations
 
@@ -61,19 +61,40 @@ class Garments:
     """A linear style basis (npz) to choose the lower garment from."""
 
 
+@dataclass(frozen=True)
+class Points:
+    """Write the body as a model of its own, and the segmented points of each scan, a fifth of them held out."""
+
+    scans: tyro.conf.Positional[Path]
+    """Folder of scans with a scans.toml."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The folder that 'caphy register body' wrote; gets subject_body.npz, points/ and split.json."""
+    labels: Path | None = None
+    """Folder of labels (NAME.npy) to use instead of the scans' own."""
+    body: str = "medium"
+    """The body that the fit was made with."""
+    seed: int = 0
+    """Decides which scans are held out."""
+
+
 def main(arguments: list[str]) -> None:
     """Run ``caphy register`` with the arguments after it."""
     command = tyro.cli(
         tyro.conf.OmitSubcommandPrefixes[
-            Annotated[Body, tyro.conf.subcommand("body")] | Annotated[Garments, tyro.conf.subcommand("garments")]
+            Annotated[Body, tyro.conf.subcommand("body")]
+            | Annotated[Garments, tyro.conf.subcommand("garments")]
+            | Annotated[Points, tyro.conf.subcommand("points")]
         ],
         args=arguments,
         prog="caphy register",
     )
-    if isinstance(command, Body):
-        _body(command)
-    else:
-        _garments(command)
+    match command:
+        case Body():
+            _body(command)
+        case Garments():
+            _garments(command)
+        case Points():
+            _points(command)
 
 
 def _body(command: Body) -> None:
@@ -203,3 +224,20 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
         f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {', '.join(names)}; best of {looked_at} styles, refined"
     )
     return {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
+
+
+def _points(command: Points) -> None:
+    from caphy.register.points import read_split, write_points
+    from caphy.register.result import read_fit
+    from caphy.register.subject import write_subject_body
+    from caphy.scan.scan_set import ScanSet
+
+    fit = read_fit(command.output / "body.npz", load_body(command.body))
+    scans = ScanSet.read(command.scans, command.labels)
+    path = write_subject_body(fit, command.output)
+    with Progress() as progress:
+        failures = write_points(fit, scans, command.output, command.seed, progress)
+    for message in failures.values():
+        print(f"left out: {message}")
+    sides = read_split(command.output)
+    print(f"{path}; points of {len(sides['train'])} scans to train on, {len(sides['held_out'])} held out")
