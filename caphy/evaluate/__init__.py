@@ -1,0 +1,1 @@
+"""How well dressed avatars match scans that nothing was trained on: the table of CaPhy, section 4."""
