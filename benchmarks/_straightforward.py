@@ -9,8 +9,8 @@ import onnx
 
 from caphy.conventions import JOINT_COUNT, JOINT_PARENTS
 from caphy.network.garment_network import GarmentNetwork
-from export.features_graph import Rows, pose_features
-from export.garment_graph import gru
+from export.features_graph import pose_features
+from export.garment_graph import gru, parted
 from export.kinematics_graph import rotation_from_quaternion
 from export.onnx_graph import OnnxGraph
 
@@ -19,14 +19,15 @@ def straightforward_graph(network: GarmentNetwork) -> onnx.ModelProto:
     """As one would write it down: every joint, full head, blended transforms and skinning by einsum."""
     graph, joints, count = OnnxGraph(), list(range(JOINT_COUNT)), len(network.template)
     poses, transl = graph.input("poses", ["frames", JOINT_COUNT, 3]), graph.input("transl", ["frames", 3])
-    states = graph.node("Unsqueeze", graph.input("state", [network.state_size]), [0])
-    rows = Rows.of(graph, transl, states)
+    states = graph.node("Unsqueeze", graph.input("state", [network.state_size]), [0, 1])
+    hidden, motion = parted(graph, network, states)
+    streams = graph.node("Shape", states, start=1, end=2)
     products = _rotation_products(graph, poses, joints)
     local = _local_transforms(graph, products, joints, network.joints.double().numpy())
     moved = _skinning_transforms(graph, local, joints, JOINT_PARENTS, joints)
-    entries = graph.node("Transpose", local, perm=[2, 1, 0])
-    features, motion = pose_features(graph, network, entries, joints, transl=transl, states=states, rows=rows)
-    hidden, after = gru(graph, network, features, states, rows)
+    entries = graph.node("Transpose", graph.node("Reshape", local, [0, 0, 4, 4]), perm=[2, 3, 1, 0])
+    features, motion = pose_features(graph, network, entries, joints, transl=transl, motion=motion, streams=streams)
+    hidden, after = gru(graph, network, features, hidden)
     weight, bias = (p.detach().double().numpy() for p in (network.head.weight, network.head.bias))
     points = graph.node("Gemm", hidden, weight.T, bias + network.template.double().numpy().ravel())
     points = graph.node("Reshape", points, [-1, count, 3])
@@ -35,8 +36,8 @@ def straightforward_graph(network: GarmentNetwork) -> onnx.ModelProto:
     posed = graph.node("Einsum", blended, points, equation="tvab,tvb->tva")
     posed = graph.node("Slice", posed, [0], [3], [2])
     graph.output(graph.node("Add", posed, graph.node("Unsqueeze", transl, [1])), "vertices", ["frames", count, 3])
-    after = graph.node("Squeeze", graph.node("Concat", *after, motion, axis=1), [0])
-    graph.output(after, "next_state", [network.state_size])
+    after = graph.node("Concat", *after, motion, axis=2)
+    graph.output(graph.node("Squeeze", after, [0, 1]), "next_state", [network.state_size])
     return graph.model("straightforward", "")
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from caphy.conventions import JOINT_COUNT
 from export.onnx_graph import OnnxGraph
 
 
@@ -42,21 +43,23 @@ def rotation_from_quaternion() -> np.ndarray:
 def quaternions(graph: OnnxGraph, poses: str, joints: Sequence[int]) -> str:
     """Unit quaternions (4, n + 1, N), w first, of ``joints`` in poses (N, 55, 3); the last one is the identity.
 
-    The angle is sqrt(|a|^2 + 1e-12): both cos(t/2) and sin(t/2)/t are smooth in t^2, so the shift costs nothing in
-    float32 and spares a branch at zero.
+    Half the angle is sqrt(|a|^2 / 4 + 1e-12): both cos(t/2) and sin(t/2)/t are smooth in t^2, so the shift costs
+    nothing in float32 and spares a branch at zero. One product with a matrix of halves picks, halves and transposes.
     """
-    angles = graph.node("Gather", poses, list(joints), axis=1)
-    angles = graph.node("Pad", angles, [0, 0, 0, 0, 1, 0])
-    angles = graph.node("Transpose", angles, perm=[2, 1, 0])
+    halves = np.zeros((3, len(joints) + 1, JOINT_COUNT, 3))
+    for place, joint in enumerate(joints):
+        halves[:, place, joint] = 0.5 * np.eye(3)
+    flat = graph.node("Reshape", poses, [-1, 3 * JOINT_COUNT])
+    angles = graph.node("Gemm", halves.reshape(-1, 3 * JOINT_COUNT), flat, transB=1)
+    angles = graph.node("Reshape", angles, [3, len(joints) + 1, -1])
     square = graph.node("ReduceSumSquare", angles, [0], keepdims=1)
-    angle = graph.node("Sqrt", graph.node("Add", square, np.array(1e-12)))
-    half = graph.node("Mul", angle, np.array(0.5))
-    imaginary = graph.node("Mul", angles, graph.node("Div", graph.node("Sin", half), angle))
+    half = graph.node("Sqrt", graph.node("Add", square, np.array(1e-12)))
+    imaginary = graph.node("Mul", angles, graph.node("Div", graph.node("Sin", half), half))
     return graph.node("Concat", graph.node("Cos", half), imaginary, axis=0)
 
 
 def local_transforms(graph: OnnxGraph, quaternion: str, joints: Sequence[int], rest: np.ndarray) -> str:
-    """Turns (16, n + 1, N), row-major 4x4 matrices, of each joint about its own rest position.
+    """Turns (4, 4, n + 1, N) of each joint about its own rest position.
 
     Their products down the tree are the skinning transforms themselves: no correction by the rest pose is left.
     Entries are linear in the quaternion's products and in (1, c), c the rest position: [R, c - R c; 0, 1].
@@ -72,16 +75,16 @@ def local_transforms(graph: OnnxGraph, quaternion: str, joints: Sequence[int], r
     left, right = (graph.node("Unsqueeze", quaternion, [axis]) for axis in (1, 0))
     products = graph.node("Reshape", graph.node("Mul", left, right), [16, -1])
     terms = graph.node("MatMul", linear.reshape(64, 16), products)
-    terms = graph.node("Reshape", terms, [4, 16, centre.shape[1], -1])
+    terms = graph.node("Reshape", terms, [4, 4, 4, centre.shape[1], -1])
     factors = np.concatenate([np.ones_like(centre[:1]), centre])
-    entries = graph.node("ReduceSum", graph.node("Mul", terms, factors[:, None, :, None]), [0], keepdims=0)
-    return graph.node("Add", entries, constant.reshape(16, -1, 1))
+    entries = graph.node("ReduceSum", graph.node("Mul", terms, factors[:, None, None, :, None]), [0], keepdims=0)
+    return graph.node("Add", entries, constant[..., None])
 
 
 def skinning_transforms(
     graph: OnnxGraph, local: str, joints: Sequence[int], parents: Sequence[int], wanted: Sequence[int]
 ) -> str:
-    """Rest-to-posed transforms (4, 4, len(wanted), N) from local ones (16, n + 1, N), without ``transl``.
+    """Rest-to-posed transforms (4, 4, len(wanted), N) from local ones (4, 4, n + 1, N), without ``transl``.
 
     Pointer doubling: every round multiplies each joint's product by that of the joint where it ends and doubles the
     distance reached, so ceil(log2(depth)) batched products do the whole tree.
@@ -93,12 +96,10 @@ def skinning_transforms(
     while True:
         last = (above[above] == nothing).all()
         rows = needed if last else list(range(nothing + 1))
-        ends = graph.node("Gather", current, above[rows], axis=1)
-        own = graph.node("Gather", current, rows, axis=1) if last else current
-        left = graph.node("Reshape", ends, [4, 4, 1, len(rows), -1])
-        right = graph.node("Reshape", own, [1, 4, 4, len(rows), -1])
+        ends = graph.node("Gather", current, above[rows], axis=2)
+        own = graph.node("Gather", current, rows, axis=2) if last else current
+        left, right = graph.node("Unsqueeze", ends, [2]), graph.node("Unsqueeze", own, [0])
         current = graph.node("ReduceSum", graph.node("Mul", left, right), [1], keepdims=0)
         if last:
             return current
-        current = graph.node("Reshape", current, [16, len(rows), -1])
         above = above[above]

@@ -50,7 +50,7 @@ def _weights(model: onnx.ModelProto) -> tuple[list[tuple[np.ndarray, ...]], np.n
     arrays = {tensor.name: numpy_helper.to_array(tensor).astype(np.float64) for tensor in graph.initializer}
     made_by = {output: node for node in graph.node for output in node.output}
     layers = [tuple(arrays[name][0] for name in node.input[1:4]) for node in graph.node if node.op_type == "GRU"]
-    (gemm,) = (node for node in graph.node if node.op_type == "Gemm")
+    (gemm,) = (node for node in graph.node if node.op_type == "Gemm" and len(node.input) == 3)
     inner, expand, bias = gemm.input
     if expand not in arrays:  # stored in half precision
         expand = made_by[expand].input[0]
