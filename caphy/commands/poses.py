@@ -60,7 +60,7 @@ class Condition:
     """Make estimated poses calm: smoothed, without jumps and gaps, on the ground (docs/conditioning.md)."""
 
     files: Files
-    """Pose files of any format caphy reads, such as results of GVHMR, WHAM or SMPLer-X."""
+    """Pose files of any format caphy reads, such as results of GVHMR, WHAM, 4D-Humans or TRAM."""
     source: tyro.conf.OmitArgPrefixes[Source]
     out: Path = Path("conditioned")
     """Folder to write NAME.npz into, y up."""

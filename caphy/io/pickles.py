@@ -2,7 +2,7 @@
 
 A pickle is a program. This reader knows the few names that arrays and plain containers need and refuses every other,
 so nothing in a file can call code. joblib's way of storing arrays beside the pickle stream is understood without
-joblib. For offline conversion only: the service accepts no pickles.
+joblib, torch's tensors become arrays without torch. For offline conversion only: the service accepts no pickles.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.io import tensors
 
 MAX_BYTES: Final = 4 * 2**30
 """Largest content read, after decompression."""
@@ -107,6 +108,8 @@ _ALLOWED: Final[dict[tuple[str, str], Any]] = {
     },
     **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
     ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
+    ("torch.storage", "_load_from_bytes"): tensors.storage,
+    ("torch._utils", "_rebuild_tensor_v2"): tensors.tensor,
 }
 
 
@@ -143,20 +146,69 @@ class _Unpickler(_PythonUnpickler):
     dispatch[pickle.BUILD[0]] = load_build
 
 
+class _ObjectKind:
+    """What the dtype "object" means in a pickle here: what an array of such holds is a list."""
+
+
+class _BoxUnpickler(_Unpickler):
+    """Of what ``numpy.save`` writes for objects that are no array: they lie in an array of Python objects."""
+
+    dispatch: ClassVar = dict(_Unpickler.dispatch)
+
+    def find_class(self, module: str, name: str) -> Any:
+        return _dtype_of_box if (module, name) == ("numpy", "dtype") else super().find_class(module, name)
+
+    def load_build(self) -> None:
+        target, state = self.stack[-2], self.stack[-1]
+        if isinstance(target, _ObjectKind):
+            self.stack.pop()
+        elif isinstance(target, np.ndarray) and isinstance(state[2], _ObjectKind):
+            self.stack.pop()
+            self.stack[-1] = list(state[4])
+        else:
+            super().load_build()
+
+    dispatch[pickle.BUILD[0]] = load_build
+
+
+def _dtype_of_box(code: str, align: bool = False, copy: bool = True) -> np.dtype | _ObjectKind:
+    return _ObjectKind() if code in ("O", "O8") else _dtype(code, align, copy)
+
+
+def read_boxed(path: Path) -> Any:
+    """The one object in an ``.npy`` file of ``numpy.save(path, object)``, as :func:`read_pickle` reads it."""
+
+    def read(data: bytes) -> Any:
+        file = io.BytesIO(data)
+        version = np.lib.format.read_magic(file)
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(file)
+        if not dtype.hasobject or shape != ():
+            raise pickle.UnpicklingError(f"it holds an array of {dtype} of shape {shape}, not one object")
+        (boxed,) = _BoxUnpickler(file).load()
+        return boxed
+
+    return _read(path, read)
+
+
 def read_pickle(path: Path) -> Any:
     """The containers, numbers and arrays in a pickle or joblib file.
 
     Raises :class:`CaphyError` for a damaged file or one that asks for anything but plain containers and arrays.
     """
+    return _read(path, lambda data: _Unpickler(io.BytesIO(_decompressed(data))).load())
+
+
+def _read(path: Path, reader: Callable[[bytes], Any]) -> Any:
     path = Path(path)
     try:
         if path.stat().st_size > MAX_BYTES:
             raise CaphyError(f"{path}: is larger than {MAX_BYTES / 2**30:.0f} GiB; split it first")
-        return _Unpickler(io.BytesIO(_decompressed(path.read_bytes()))).load()
+        return reader(path.read_bytes())
     except pickle.UnpicklingError as error:
         raise CaphyError(
-            f"{path}: this pickle is not read: {error}. Only plain containers and numeric arrays are; "
-            "convert tensors and objects to arrays where the file was made"
+            f"{path}: this pickle is not read: {error}. Only plain containers, numeric arrays and tensors are; "
+            "convert other objects to arrays where the file was made"
         ) from error
     except CaphyError:
         raise

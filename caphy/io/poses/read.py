@@ -11,7 +11,7 @@ from caphy.io.poses.canonical import is_canonical, read_canonical
 from caphy.io.poses.sequence import PoseSequence
 from caphy.io.poses.smplx_npz import read_smplx_npz
 
-SUFFIXES = (".npz", ".bvh", ".amc", ".pt", ".pkl")
+SUFFIXES = (".npz", ".bvh", ".amc", ".pt", ".pkl", ".npy")
 
 
 def read_poses(
@@ -24,7 +24,8 @@ def read_poses(
     """The motion in a pose file, y up, whatever its format.
 
     ``.npz``: caphy's own, AMASS SMPL-H and SMPL-X, plain SMPL-X. ``.bvh`` and ``.amc``: the CMU skeleton, retargeted
-    to the bundled body. ``.pt``: GVHMR. ``.pkl``: WHAM. A folder of ``.npz``: SMPLer-X.
+    to the bundled body. ``.pt``: GVHMR. ``.pkl``: WHAM, PHALP (4D-Humans), PyMAF-X. ``.npy``: TRAM. A folder of
+    ``.npz``: SMPLer-X.
 
     ``fps`` [Hz] is the true frame rate, needed where the file does not say; ``up`` its up axis; ``person`` whom to
     take of several. What had to be assumed is in the sequence's ``notes``. Raises :class:`CaphyError`, naming file,
@@ -56,12 +57,27 @@ def _read(path: Path, fps: float | None, up: Literal["y", "z"] | None, person: i
             from caphy.io.poses.cmu import read_cmu_amc
 
             return read_cmu_amc(path, fps)
-        case ".pt":
-            from caphy.io.poses.gvhmr import read_gvhmr
-
-            return read_gvhmr(path, fps)
-        case ".pkl":
-            from caphy.io.poses.wham import read_wham
-
-            return read_wham(path, fps, person)
+        case ".pt" | ".pkl" | ".npy":
+            return _read_estimated(path, fps, person)
     raise CaphyError(f"{path}: pose files end in {', '.join(SUFFIXES)}; got {path.suffix or 'no suffix'}")
+
+
+def _read_estimated(path: Path, fps: float | None, person: int | None) -> PoseSequence:
+    """What an estimator of poses wrote; of pickles the content tells which."""
+    from caphy.io.pickles import read_pickle
+    from caphy.io.poses.gvhmr import read_gvhmr
+    from caphy.io.poses.phalp import is_phalp, read_phalp
+    from caphy.io.poses.pymafx import is_pymafx, read_pymafx
+    from caphy.io.poses.tram import read_tram
+    from caphy.io.poses.wham import read_wham
+
+    if path.suffix.lower() == ".pt":
+        return read_gvhmr(path, fps)
+    if path.suffix.lower() == ".npy":
+        return read_tram(path, fps)
+    results = read_pickle(path)
+    if is_phalp(results):
+        return read_phalp(results, path, fps, person)
+    if is_pymafx(results):
+        return read_pymafx(results, path, fps, person)
+    return read_wham(results, path, fps, person)

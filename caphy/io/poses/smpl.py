@@ -9,6 +9,7 @@ import numpy as np
 from caphy.conventions import BODY_JOINT_COUNT, JOINT_COUNT
 from caphy.errors import CaphyError
 from caphy.io.poses.sequence import SMPL_PELVIS, SMPLX_PELVIS
+from caphy.rotations import axis_angle_from_matrix
 
 HANDS: Final = slice(25, 55)
 
@@ -18,6 +19,8 @@ LAYOUTS: Final = {
     72: ("smpl", "SMPL: root, 21 body, 2 hands"),
 }
 """Pose vector widths that say which joints they hold."""
+NEARLY: Final = 0.02
+"""How far from orthogonal matrices in 16-bit floats may be."""
 
 
 def poses_from_columns(columns: np.ndarray, where: str) -> tuple[np.ndarray, str, tuple[str, ...]]:
@@ -62,3 +65,13 @@ def require_fps(fps: float | None, where: str, why: str) -> float:
     if fps is None:
         raise CaphyError(f"{where}: {why}; give the true frame rate with --fps")
     return fps
+
+
+def axis_angles(rotations: np.ndarray, where: str) -> np.ndarray:
+    """Rotation vectors (..., 3) [rad] of matrices (..., 3, 3); :class:`CaphyError` where they are no rotations."""
+    if rotations.ndim < 2 or rotations.shape[-2:] != (3, 3) or not np.isfinite(rotations).all():
+        raise CaphyError(f"{where}: must be finite rotation matrices (..., 3, 3), got shape {rotations.shape}")
+    off = np.abs(rotations @ np.swapaxes(rotations, -1, -2) - np.eye(3)).max(axis=(-1, -2))
+    if off.max(initial=0.0) > NEARLY or (np.linalg.det(rotations) < 0).any():
+        raise CaphyError(f"{where}: must be rotations; {int((off > NEARLY).sum())} of {off.size} matrices are not")
+    return axis_angle_from_matrix(rotations)

@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.io.pickles import read_pickle
 from caphy.io.poses.gaps import without_gaps
 from caphy.io.poses.sequence import PoseSequence
 from caphy.io.poses.smpl import mean_betas, poses_from_columns, require_fps, rest_pelvis
 
 
-def read_wham(path: Path, fps: float | None, person: int | None = None) -> PoseSequence:
+def read_wham(results: Any, path: Path, fps: float | None, person: int | None = None) -> PoseSequence:
     """One person's motion; ``fps`` [Hz] is the video's and must be given. Raises :class:`CaphyError`."""
     fps = require_fps(fps, str(path), "WHAM does not keep the video's frame rate")
-    subject, key = _subject(read_pickle(path), path, person)
+    subject, key = _subject(results, path, person)
     poses, model, notes = poses_from_columns(_numbers(subject, "pose_world", path), str(path))
     transl = _numbers(subject, "trans_world", path).reshape(-1, 3)
     if len(transl) != len(poses):
@@ -42,7 +41,10 @@ def _subject(results: Any, path: Path, person: int | None) -> tuple[dict[str, An
     found = dict(results) if isinstance(results, dict) else {}
     found = {key: value for key, value in found.items() if isinstance(value, dict) and "pose_world" in value}
     if not found:
-        raise CaphyError(f"{path}: must hold {{person: {{pose_world, trans_world, ...}}}} as WHAM writes it")
+        raise CaphyError(
+            f"{path}: must hold {{person: {{pose_world, trans_world, ...}}}} as WHAM writes it, "
+            "smplx_params as PyMAF-X, or {frame: {tid, smpl, ...}} as PHALP (4D-Humans)"
+        )
     if person is None and len(found) > 1:
         raise CaphyError(f"{path}: holds {len(found)} persons ({', '.join(map(str, found))}); choose with --person")
     key = next(iter(found)) if person is None else person
