@@ -1,12 +1,12 @@
-"""``caphy train``: train a garment network with physics losses."""
+"""``caphy train``: train a garment network with physics losses, supervised by scans where there are any."""
 
 from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -16,8 +16,11 @@ if TYPE_CHECKING:
     from caphy.effects.model import Model
     from caphy.garment.template import Garment
     from caphy.io.poses import PoseSequence
+    from caphy.network.garment_network import GarmentNetwork
     from caphy.training.initial import Initial
     from caphy.training.loop import Trainer
+    from caphy.training.objective import Objective
+    from caphy.training.scans import Scans
 
 FPS = 30.0
 """Frame rate that networks run at [Hz]."""
@@ -25,6 +28,9 @@ FPS = 30.0
 PROCEDURAL = tuple(range(12))
 """Seeds of the motions trained on where none are given; the last two are held out."""
 
+
+OPTIONS = "options.json"
+"""What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
 
 MADE_UP = 100
 """First seed of the motions of --made-up."""
@@ -50,7 +56,7 @@ class Train:
     held_out: tuple[Path, ...] = ()
     """Pose files or folders to validate on; without any, every sixth clip."""
     body: Path | None = None
-    """Body npz in the SMPL-X format; the bundled body unless given."""
+    """Body npz in the SMPL-X format; subject_body.npz of --scans, or the bundled body unless given."""
     betas: tuple[float, ...] = ()
     """Body shape that the garment was made on; that of --init unless given."""
     fabric: str | None = None
@@ -63,6 +69,16 @@ class Train:
     """How long to train; 45 unless --steps is given."""
     steps: int | None = None
     """How many steps to train."""
+    scans: Path | None = None
+    """Folder with points/ and split.json ('caphy register points') whose training scans supervise the garment."""
+    worn: Literal["upper", "lower"] | None = None
+    """Which points of the scans are the garment's; told from its file's name or its family unless given."""
+    outermost: Literal["upper", "lower"] | None = None
+    """Which garment is worn over the other; what the scans show, if the folder holds both, or upper."""
+    lambda_3d: float | None = None
+    """Weight of the squared distances from the scans [J/m^2]; 1000 unless given."""
+    physics: bool = True
+    """Without it the scans alone are learnt, for comparison."""
     seed: int = 0
     """What is drawn follows from it alone."""
     device: str = "cpu"
@@ -102,15 +118,19 @@ def _check(options: Train) -> None:
         raise CaphyError("give either --fabric or --model, not both")
     if options.made_up < 0:
         raise CaphyError(f"--made-up must not be negative, got {options.made_up}")
-    for name in ("minutes", "steps"):
+    if not options.physics and options.scans is None:
+        raise CaphyError("--no-physics needs --scans: there is nothing else to learn from")
+    if options.scans is None and (options.worn or options.outermost or options.lambda_3d is not None):
+        raise CaphyError("--worn, --outermost and --lambda-3d go with --scans")
+    for name in ("minutes", "steps", "lambda_3d"):
         value = getattr(options, name)
         if value is not None and value <= 0:
-            raise CaphyError(f"--{name} must be positive, got {value}")
+            raise CaphyError(f"--{name.replace('_', '-')} must be positive, got {value}")
     if (options.output / "checkpoint.safetensors").exists() and not options.resume:
         raise CaphyError(f"{options.output} holds a training already: add --resume, or give another folder with -o")
 
 
-def prepare(options: Train) -> Trainer:
+def prepare(options: Train, record: bool = True) -> Trainer:
     """A trainer ready to run, and its folder with garment, model and a record of what is trained."""
     import numpy as np
     import torch
@@ -122,7 +142,6 @@ def prepare(options: Train) -> Trainer:
     from caphy.effects.registry import register_file
     from caphy.garment.template import Garment
     from caphy.network.garment_network import GarmentNetwork
-    from caphy.training.blind_spots import blind_spots
     from caphy.training.initial import read_initial
     from caphy.training.loop import Schedule, Trainer
     from caphy.training.motions import Motions, varied
@@ -134,8 +153,9 @@ def prepare(options: Train) -> Trainer:
     torch.manual_seed(options.seed)
     for file in options.effect_file:
         register_file(file)
-    garment = Garment.load(_bundled(options.garment))
-    initial = None if options.init is None else read_initial(_bundled(options.init), garment)
+    options = _found(options)
+    garment = Garment.load(options.garment)
+    initial = None if options.init is None else read_initial(options.init, garment)
     model, shape = _model(options, initial), options.betas or (initial.betas if initial else ())
     body = default_body() if options.body is None else BodyModel.load(options.body)
     betas = np.array(shape) if shape else None
@@ -154,18 +174,74 @@ def prepare(options: Train) -> Trainer:
     objective = Objective(potential, body, network.template, network.weights, fps, betas)
     minutes = 45.0 if options.minutes is None and options.steps is None else options.minutes
     schedule = Schedule(options.steps, minutes)
-    trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed)
-    if trainer.rank == 0:
+    scans = _scans(options, garment, objective, network)
+    trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed, scans=scans)
+    if trainer.rank == 0 and record:
         _record(options, shape, initial, garment, model, trained, held_out)
-        print(
-            f"{garment.name}: {len(garment.vertices)} vertices, {len(motions)} frames of {len(trained)} clips "
-            f"(mirrored, at three speeds), {len(held_out)} clips held out"
-        )
-        if unseen is None:
-            print(f"note: nothing is validated, no clip held out has {SHORTEST} frames at {fps:g} fps")
-        for name, what in blind_spots(potential).items():
-            print(f"note: {name} depends on {what}, which the network does not see: it learns the average")
+        _tell(trainer, garment, trained, held_out)
     return trainer
+
+
+def _tell(trainer: Trainer, garment: Garment, trained: list[PoseSequence], held_out: list[PoseSequence]) -> None:
+    from caphy.training.blind_spots import blind_spots
+    from caphy.training.validate import SHORTEST
+
+    print(
+        f"{garment.name}: {len(garment.vertices)} vertices, {len(trainer.track.motions)} frames of {len(trained)} "
+        f"clips (mirrored, at three speeds), {len(held_out)} clips held out"
+    )
+    if trainer.scans is not None:
+        physics = "" if trainer.scans.loss.physics else ", no physics"
+        print(f"{len(trainer.scans.motions)} scans, lambda_3d {trainer.scans.loss.weight:g} J/m^2{physics}")
+    if trainer.held_out is None:
+        print(f"note: nothing is validated, no clip held out has {SHORTEST} frames at {trainer.network.fps:g} fps")
+    for name, what in blind_spots(trainer.objective.potential).items():
+        print(f"note: {name} depends on {what}, which the network does not see: it learns the average")
+
+
+def _scans(options: Train, garment: Garment, objective: Objective, network: GarmentNetwork) -> Scans | None:
+    if options.scans is None:
+        return None
+    from caphy.commands.supervision import supervision, worn_part
+    from caphy.training.scans import LAMBDA_3D
+
+    worn = options.worn or worn_part(options.garment, garment)
+    weight = LAMBDA_3D if options.lambda_3d is None else options.lambda_3d
+    return supervision(options.scans, worn, options.outermost, objective, network, weight, options.physics)
+
+
+def reopen(folder: Path) -> Trainer:
+    """The training that 'caphy train' wrote into a folder, on its trained network; files it read must still be there.
+
+    For :func:`caphy.training.onward.onward` and for looking at losses; the trainer's own checkpoint is not loaded.
+
+    Raises:
+        CaphyError: the folder holds no training.
+    """
+    path = folder / OPTIONS
+    try:
+        given = json.loads(path.read_text())
+        options = Train(**{field.name: _option(field.type, given[field.name]) for field in fields(Train)})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
+    return prepare(replace(options, output=folder, init=folder, fabric=None, model=folder / "model.json"), record=False)
+
+
+def _option(kind: Any, value: Any) -> Any:
+    """An option read from JSON, where paths are text and tuples are lists."""
+    if isinstance(value, list):
+        return tuple(_option(kind, one) for one in value)
+    return Path(value) if isinstance(value, str) and "Path" in str(kind) else value
+
+
+def _found(options: Train) -> Train:
+    """The options with bundled files' paths, and the body that --scans brings along."""
+    from caphy.register.subject import SUBJECT_BODY
+
+    own = None if options.scans is None else options.scans / SUBJECT_BODY
+    body = own if options.body is None and own is not None and own.is_file() else options.body
+    init = None if options.init is None else _bundled(options.init)
+    return replace(options, garment=_bundled(options.garment), init=init, body=body)
 
 
 def _bundled(path: Path) -> Path:
@@ -212,6 +288,8 @@ def _record(
     """Put beside the network what the export needs, and what a reader wants to know of its making."""
     garment.save(options.output / "garment.npz")
     (options.output / "model.json").write_text(model.to_json() + "\n")
+    told = {field.name: getattr(options, field.name) for field in fields(Train)}
+    (options.output / OPTIONS).write_text(json.dumps(told, indent=2, default=lambda path: str(Path(path).resolve())))
     record = {
         "format": "caphy-run-1",
         "fps": FPS if initial is None else initial.network.fps,
@@ -224,6 +302,9 @@ def _record(
         "steps": options.steps,
         "trained_on": [Path(clip.source).name for clip in trained],
         "held_out": [Path(clip.source).name for clip in held_out],
+        "scans": None if options.scans is None else options.scans.resolve().name,
+        "lambda_3d": options.lambda_3d,
+        "physics": options.physics,
         "held_out_paths": [clip.source for clip in held_out],
     }
     (options.output / "run.json").write_text(json.dumps(record, indent=2) + "\n")

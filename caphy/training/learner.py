@@ -71,10 +71,13 @@ class Learner(nn.Module):
             self.head.weight.copy_(_divided(network.head.weight, basis))
             self.head.bias.copy_(_divided(network.head.bias[:, None], basis)[:, 0])
 
-    def forward(self, features: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Canonical offsets (B, T, V, 3) [m] of features (B, T, D), and the hidden state (layers, B, width)."""
+    def forward(self, features: Tensor, hidden: Tensor, last: bool = False) -> tuple[Tensor, Tensor]:
+        """Canonical offsets (B, T, V, 3) [m] of features (B, T, D), and the hidden state (layers, B, width).
+
+        With ``last`` the offsets are the last frame's alone, (B, 1, V, 3).
+        """
         output, after = self.gru(features, hidden)
-        z = self.head(output).unflatten(-1, (3, -1))
+        z = self.head(output[:, -1:] if last else output).unflatten(-1, (3, -1))
         return (z @ self.basis.T).mT, after
 
     @torch.no_grad()

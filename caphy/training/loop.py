@@ -19,8 +19,10 @@ from caphy.network.garment_network import GarmentNetwork
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
 from caphy.training.learner import Learner, offset_basis, stiffness
 from caphy.training.motions import Motions
-from caphy.training.objective import Objective, Past
-from caphy.training.streams import Streams
+from caphy.training.objective import Objective
+from caphy.training.scans import RANDOM_EPOCHS, SCAN_EPOCHS, Scans, ScanStreams
+from caphy.training.streams import HELD_WINDOWS, Streams
+from caphy.training.track import Track
 from caphy.training.validate import validate
 
 NETWORK = "network.safetensors"
@@ -67,7 +69,9 @@ class Progress:
     step: int = 0
     seconds: float = 0.0
     losses: list[float] = field(default_factory=list)
-    """Mean potentials [J] of the steps since the last line of metrics."""
+    """Mean losses [J] of the steps since the last line of metrics."""
+    distances: list[float] = field(default_factory=list)
+    """Distances from the scans [m] of those of these steps that were on scans."""
 
 
 class Trainer:
@@ -79,49 +83,60 @@ class Trainer:
 
     def __init__(
         self, folder: Path, network: GarmentNetwork, objective: Objective, motions: Motions, held_out: Motions | None,
-        schedule: Schedule, seed: int = 0, say: Callable[[str], None] = print,
+        schedule: Schedule, seed: int = 0, say: Callable[[str], None] = print, scans: Scans | None = None,
     ) -> None:  # fmt: skip
-        """``network`` is trained in place; ``held_out`` motions are validated on at checkpoints."""
+        """``network`` is trained in place; ``held_out`` motions are validated on at checkpoints.
+
+        With ``scans`` one epoch of the motions alternates with four of the scans' poses, an epoch being the steps in
+        which every scan is shown once; if these come without physics the motions, which have nothing else, are left
+        out.
+        """
         self.folder, self.network, self.objective = folder, network, objective
-        self.motions, self.held_out, self.schedule, self.say = motions, held_out, schedule, say
+        self.held_out, self.schedule, self.say = held_out, schedule, say
         self.rank, self.world = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
         if schedule.streams % self.world:
             raise CaphyError(f"the {schedule.streams} streams must divide evenly among {self.world} processes")
         share = schedule.streams // self.world
-        self.own = slice(self.rank * share, (self.rank + 1) * share)
+        own = slice(self.rank * share, (self.rank + 1) * share)
         device = network.template.device
         self.learner = Learner(network, offset_basis(stiffness(objective.potential, network.fps))).to(device)
         self.model = self.learner
         if self.world > 1:
             self.model = torch.nn.parallel.DistributedDataParallel(self.learner, broadcast_buffers=False)
         self.optimizer = torch.optim.Adam(self.learner.parameters(), betas=(0.9, 0.99))
-        self.streams = Streams(motions, schedule.streams, seed)
-        self.hidden = network.template.new_zeros(network.gru.num_layers, share, network.gru.hidden_size)
-        still = network.template.expand(share, -1, -1)
-        self.past = Past(still, still)
+        self.track = Track(motions, Streams(motions, schedule.streams, seed), objective, network, own)
+        self.scans, self.scan_track = scans, None
+        if scans is not None:
+            streams = ScanStreams(len(scans.motions), schedule.streams, seed)
+            self.scan_track = Track(scans.motions, streams, scans.loss, network, own, last=True)
         self.progress = Progress()
 
     def step(self, done: float = 0.0) -> float:
         """One step on the next window of every stream, ``done`` of the schedule being behind.
 
-        Returns the mean potential [J] of this process's share.
+        Returns the mean loss [J] of this process's share.
         """
         for group in self.optimizer.param_groups:
             group["lr"] = self.schedule.rate(self.progress.step, done)
-        windows = self.streams.advance()[self.own]
-        fresh = torch.as_tensor(windows.fresh, device=self.hidden.device)[None, :, None]
-        features = windows.features(self.motions).to(self.hidden)
-        offsets, hidden = self.model(features, torch.where(fresh, 0, self.hidden))
-        self._require_finite(offsets.detach())
-        potential, past = self.objective(self.motions, windows, offsets, self.past)
-        loss = potential.mean()
+        track = self._turn()
+        loss = track.advance(self.model).mean()
+        self._require_finite(loss.detach())
         self.optimizer.zero_grad()
         loss.backward()
-        self._require_finite(loss.detach(), *(p.grad for p in self.learner.parameters() if p.grad is not None))
+        self._require_finite(*(p.grad for p in self.learner.parameters() if p.grad is not None))
         self.optimizer.step()
-        self.hidden, self.past = hidden.detach(), past
         self.progress.step += 1
+        if self.scans is not None and track is self.scan_track:
+            self.progress.distances.append(self.scans.loss.distance)
         return float(loss.detach())
+
+    def _turn(self) -> Track:
+        """Whose turn the next step is."""
+        if self.scans is None or self.scan_track is None:
+            return self.track
+        epoch = -(-len(self.scans.motions) * HELD_WINDOWS // self.schedule.streams)
+        place = self.progress.step % ((RANDOM_EPOCHS + SCAN_EPOCHS) * epoch)
+        return self.track if self.scans.loss.physics and place < RANDOM_EPOCHS * epoch else self.scan_track
 
     def _require_finite(self, *values: Tensor) -> None:
         if not all(torch.isfinite(value.sum()) for value in values):
@@ -165,20 +180,16 @@ class Trainer:
 
     def save(self) -> None:
         """Validate, and write the network, the checkpoint and a line of metrics."""
-        streams = {
-            "place": torch.from_numpy(self.streams.place.copy()),
-            "hidden": self._gathered(self.hidden.transpose(0, 1)),
-            "before": self._gathered(self.past.before),
-            "previous": self._gathered(self.past.previous),
-        }
+        streams = self.track.state()
+        if self.scan_track is not None:
+            streams |= {f"scans.{key}": value for key, value in self.scan_track.state().items()}
         if self.rank:
             return
         self.learner.fold(self.network)
         save_network(self.network, self.folder / NETWORK)
         if self.held_out is not None:
             self._write({"validation": validate(self.network, self.objective, self.held_out).summary()})
-        progress = {"step": self.progress.step, "seconds": self.progress.seconds, "losses": self.progress.losses}
-        save_checkpoint(self.folder, {"learner": self.learner}, self.optimizer, streams, progress)
+        save_checkpoint(self.folder, {"learner": self.learner}, self.optimizer, streams, vars(self.progress))
 
     def resume(self) -> None:
         """Go on from the folder's checkpoint.
@@ -187,24 +198,18 @@ class Trainer:
             CaphyError: if there is none, it is damaged or it does not fit.
         """
         streams, progress = load_checkpoint(self.folder, {"learner": self.learner}, self.optimizer)
-        if len(streams["place"]) != self.schedule.streams:
-            raise CaphyError(
-                f"{self.folder}: was trained with {len(streams['place'])} streams, not {self.schedule.streams}"
-            )
-        device = self.hidden.device
-        self.streams.restore(streams["place"].numpy())
-        self.hidden = streams["hidden"][self.own].transpose(0, 1).contiguous().to(device)
-        self.past = Past(streams["before"][self.own].to(device), streams["previous"][self.own].to(device))
-        self.progress = Progress(progress["step"], progress["seconds"], progress["losses"])
+        scans = {key.removeprefix("scans."): value for key, value in streams.items() if key.startswith("scans.")}
+        if bool(scans) != (self.scan_track is not None):
+            raise CaphyError(f"{self.folder}: was trained {'with' if scans else 'without'} scans; go on likewise")
+        try:
+            self.track.restore(streams)
+            if self.scan_track is not None:
+                self.scan_track.restore(scans)
+        except CaphyError as error:
+            raise CaphyError(f"{self.folder}: {error}") from error
+        self.progress = Progress(**{key: progress[key] for key in vars(self.progress) if key in progress})
         if self.rank == 0:
             self._forget_later_metrics()
-
-    def _gathered(self, share: Tensor) -> Tensor:
-        if self.world == 1:
-            return share
-        parts = [torch.empty_like(share, memory_format=torch.contiguous_format) for _ in range(self.world)]
-        dist.all_gather(parts, share.contiguous())
-        return torch.cat(parts)
 
     def _log(self, steps_per_second: float, done: float) -> None:
         loss = sum(self.progress.losses) / len(self.progress.losses)
@@ -214,10 +219,16 @@ class Trainer:
         frames = steps_per_second * self.schedule.streams * 5
         left = self.progress.seconds * (1 - done) / max(done, 1e-9) / 60
         rate = self.optimizer.param_groups[0]["lr"]
-        self._write({"loss_J": round(loss, 6), "frames_per_s": round(frames, 1), "learning_rate": rate})
+        entry, beside = {"loss_J": round(loss, 6), "frames_per_s": round(frames, 1), "learning_rate": rate}, ""
+        if self.progress.distances:
+            apart = 1e3 * sum(self.progress.distances) / len(self.progress.distances)
+            entry["rms_from_scans_mm"] = round(apart, 3)
+            beside = f"{apart:.2f} mm from the scans  "
+            self.progress.distances.clear()
+        self._write(entry)
         self.say(
-            f"{100 * done:5.1f} %  step {self.progress.step}  potential {loss:.4f} J  {frames:.0f} frames/s  "
-            f"{left:.0f} min left"
+            f"{100 * done:5.1f} %  step {self.progress.step}  {'loss' if self.scans else 'potential'} {loss:.4f} J  "
+            f"{beside}{frames:.0f} frames/s  {left:.0f} min left"
         )
 
     def _write(self, entry: dict) -> None:

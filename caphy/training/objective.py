@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -65,6 +66,12 @@ class Objective:
         """
         scene, past = self.scene(motions, windows, offsets, past)
         return self.potential.loss(scene.x, scene.step, scene.body), past
+
+    def under(self, potential: Potential) -> Objective:
+        """The same with another physics of the same cloth."""
+        other = copy.copy(self)
+        other.potential = potential
+        return other
 
     def scene(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Scene, Past]:
         """The scored frames at offsets (B, T, V, 3), and the streams' past after the windows."""

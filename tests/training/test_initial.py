@@ -102,11 +102,11 @@ def test_the_learner_starts_as_the_network_is(make_trainer):
 def test_training_meets_the_clock_of_its_clip(tmp_path):
     """Windows of the second clip are met as late as they are in it."""
     trainer = small_trainer(tmp_path)
-    start = int(trainer.motions.starts[1])
+    start = int(trainer.track.motions.starts[1])
     frames = np.array([start + np.arange(3, 8), np.arange(10, 15)])
     windows = Windows(frames, frames[:, 0] - 1, np.array([False] * 2), np.array([False] * 2), np.array([[4, 0]] * 2))
-    past = type(trainer.past)(*(field[:2] for field in (trainer.past.before, trainer.past.previous)))
-    scene, _ = trainer.objective.scene(trainer.motions, windows, torch.zeros(2, 5, len(tube().vertices), 3), past)
+    past = type(trainer.track.past)(*(field[:2] for field in (trainer.track.past.before, trainer.track.past.previous)))
+    scene, _ = trainer.objective.scene(trainer.track.motions, windows, torch.zeros(2, 5, len(tube().vertices), 3), past)
     np.testing.assert_allclose(scene.step.time[..., 0] * 30, [[7, 3], [14, 10]], atol=1e-5)
 
 

@@ -132,9 +132,9 @@ def test_preconditioned_head_is_the_network_s_head(make_trainer):
     torch.nn.init.normal_(learner.head.weight)
     torch.nn.init.normal_(learner.head.bias)
     features = torch.randn(2, 3, network.gru.input_size)
-    offsets, hidden = learner(features, trainer.hidden[:, :2])
+    offsets, hidden = learner(features, trainer.track.hidden[:, :2])
     learner.fold(network)
-    folded, after = network.offsets(features, trainer.hidden[:, :2])
+    folded, after = network.offsets(features, trainer.track.hidden[:, :2])
     torch.testing.assert_close(offsets, folded, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(hidden, after)
 

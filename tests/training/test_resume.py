@@ -167,5 +167,5 @@ def test_two_processes_equal_one(tmp_path, make_trainer):
             )
     resumed = small_trainer(tmp_path / "run")
     resumed.resume()
-    torch.testing.assert_close(resumed.hidden, alone.hidden, rtol=1e-3, atol=1e-4)
-    torch.testing.assert_close(resumed.past.previous, alone.past.previous, rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(resumed.track.hidden, alone.track.hidden, rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(resumed.track.past.previous, alone.track.past.previous, rtol=1e-3, atol=1e-5)

@@ -1,0 +1,55 @@
+"""A training that goes on from another under a changed physics, as the rounds of parameter optimisation do."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.training.checkpoint import NAME
+from caphy.training.loop import Schedule, Trainer
+
+KEPT = ("garment.npz", "run.json", "options.json")
+"""What a training's folder holds besides its network and its physics."""
+
+
+def onward(
+    trainer: Trainer, model: Model, steps: int, folder: Path, seed: int = 0, learning_rate: float = 5e-4
+) -> Trainer:
+    """A trainer of ``steps`` more steps on the network of ``trainer`` under another ``model``, ready to ``run()``.
+
+    Motions, scans and their weight stay; windows are drawn by ``seed``; the optimizer and the coordinates that it works
+    in start anew, for these depend on the stiffness. The network is the same object, trained in place. ``folder`` gets
+    all that 'caphy train' would write, so it can be exported, validated, and opened with
+    :func:`caphy.commands.train.reopen`. Where it holds a checkpoint under the same physics, the training goes on from
+    that: after a kill, the same call ends as it would have.
+    """
+    trainer.learner.fold(trainer.network)
+    old = trainer.objective.potential
+    potential = Potential(model, old.cloth, old.dtype, old.device)
+    objective = trainer.objective.under(potential)
+    scans = None if trainer.scans is None else trainer.scans.under(potential)
+    schedule = Schedule(steps, None, trainer.schedule.streams, learning_rate)
+    motions, held_out = trainer.track.motions, trainer.held_out
+    after = Trainer(folder, trainer.network, objective, motions, held_out, schedule, seed, trainer.say, scans)
+    if (folder / NAME).is_file() and (folder / "model.json").is_file() and Model.load(folder / "model.json") == model:
+        after.resume()
+        return after
+    if after.rank == 0:
+        (folder / NAME).unlink(missing_ok=True)
+        _record(trainer.folder, folder, model, steps, seed)
+    return after
+
+
+def _record(source: Path, folder: Path, model: Model, steps: int, seed: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in KEPT:
+        if source != folder and (source / name).is_file():
+            shutil.copyfile(source / name, folder / name)
+    if (folder / "run.json").is_file():
+        record = json.loads((folder / "run.json").read_text())
+        record |= {"init": {"run": source.resolve().name}, "minutes": None, "steps": steps, "seed": seed}
+        (folder / "run.json").write_text(json.dumps(record, indent=2) + "\n")
+    (folder / "model.json").write_text(model.to_json() + "\n")
