@@ -1,0 +1,182 @@
+"""All rows of the table on all held-out scans of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.evaluate.classes import like_and_unlike, pose_distances
+from caphy.evaluate.dressed import Dressed, Subject, Wearing
+from caphy.evaluate.perceptual import Perceptual
+from caphy.evaluate.rows import PAPER, TEMPLATE, Row
+from caphy.evaluate.score import HeldOut
+from caphy.register.points import ScanPoints, read_points
+from caphy.scan.scan_set import ScanSet
+
+FORMAT = "caphy-evaluation-1"
+CHAMFER = "clothes_chamfer_mm"
+"""The figure that the table leads with."""
+DEFINITION = (
+    "Chamfer: visible points of the predicted clothes to the scan's clothes and back, nearest points on triangles; the "
+    "root of half of POP's sum of the two mean squared distances (Ma et al. 2021), in mm"
+)
+
+PICTURED = (
+    "mean over the pixels where scan or prediction shows somebody, from four sides, both in the colours of their labels"
+)
+
+Progress = Callable[[str, int, int], None]
+Shown = Callable[[HeldOut, Mapping[str, Dressed]], None]
+"""Given each scan with the first seed's prediction of every row, to picture them."""
+
+
+@dataclass
+class Evaluation:
+    """What :func:`evaluate` found.
+
+    rows: those asked for. scores: row -> seed folder -> scan -> figures. classes: class of each scan.
+    distances: how far each scan's pose lies from the nearest trained one [degrees]. left_out: scan or row -> why.
+    """
+
+    rows: tuple[Row, ...]
+    classes: Mapping[str, str]
+    distances: Mapping[str, float]
+    trained_on: int
+    look: Perceptual | None
+    scores: dict[str, dict[str, dict[str, dict[str, float]]]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    def figures(self, row: str, name: str | None = None) -> dict[str, dict[str, float]]:
+        """Mean of each figure of a row over scans (of one class if named) and seeds, and the spread of seeds.
+
+        The spread is the standard deviation between seeds, each the mean over scans; 0 for a single seed.
+        """
+        seeds = []
+        for scans in self.scores.get(row, {}).values():
+            chosen = [figures for scan, figures in scans.items() if name is None or self.classes[scan] == name]
+            if chosen:
+                seeds.append({key: float(np.mean([figures[key] for figures in chosen])) for key in chosen[0]})
+        if not seeds:
+            return {}
+        means = {key: np.array([seed[key] for seed in seeds]) for key in seeds[0]}
+        return {
+            key: {"mean": float(value.mean()), "spread": float(value.std(ddof=1)) if len(value) > 1 else 0.0}
+            for key, value in means.items()
+        }
+
+    def document(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        names = sorted(set(self.classes.values()))
+        return {
+            "format": FORMAT,
+            "definition": DEFINITION,
+            "perceptual": None
+            if self.look is None
+            else f"{self.look.name}: {self.look.definition}; mean over the pixels "
+            "where scan or prediction shows somebody, four sides, both in the colours of labels",
+            "trained_on": self.trained_on,
+            "scans": {n: {"class": c, "pose_distance_degrees": self.distances[n]} for n, c in self.classes.items()},
+            "left_out": self.left_out,
+            "rows": [self._row(row, names) for row in self.rows],
+            "paper_mm": {name: list(values) for name, values in PAPER.items()},
+        }
+
+    def _row(self, row: Row, names: Sequence[str]) -> dict[str, Any]:
+        scores = self.scores.get(row.name, {})
+        return {
+            "name": row.name,
+            "missing": row.missing or self.left_out.get(row.name),
+            "seeds": len(scores),
+            "all": self.figures(row.name),
+            "classes": {name: self.figures(row.name, name) for name in names},
+            "scans": scores,
+        }
+
+
+def evaluate(
+    run: Path, scans: ScanSet, rows: Sequence[Row], look: Perceptual | None,
+    classes: Mapping[str, str] | None = None, progress: Progress | None = None, show: Shown | None = None,
+) -> Evaluation:  # fmt: skip
+    """Hold every row against the scans that the run's split holds out, and against no others.
+
+    Args:
+        run: folder that ``caphy register`` filled.
+        scans: the labelled scans it was filled from.
+        look: the perceptual error, or none.
+        classes: motion class of each held-out scan; by default the half nearer to the trained poses, and the rest.
+
+    Raises:
+        CaphyError: nothing is held out, or not a single scan or row can be evaluated.
+    """
+    subject = Subject.read(run)
+    held_out = read_points(run, "held_out")
+    if not held_out:
+        raise CaphyError(f"{run}: holds no scan out of training; give at least two scans, and train on the others")
+    trained = read_points(run, "train")
+    names = [points.name for points in held_out]
+    distances = _distances(held_out, trained)
+    classes = classes or like_and_unlike(names, distances)
+    result = Evaluation(
+        tuple(rows), {n: classes[n] for n in names}, dict(zip(names, np.degrees(distances).tolist(), strict=True)),
+        len(trained), look,
+    )  # fmt: skip
+    worn = _read_rows(subject, rows, result)
+    for number, points in enumerate(held_out):
+        if progress is not None:
+            progress("held-out scans", number, len(held_out))
+        try:
+            held = HeldOut(_scan(scans, points.name), points, tuple(subject.garments))
+            _evaluate_scan(held, worn, look, result, show)
+        except CaphyError as error:
+            result.left_out[points.name] = str(error)
+    if not result.scores:
+        raise CaphyError("nothing could be evaluated:\n" + "\n".join(result.left_out.values()))
+    return result
+
+
+def _distances(held_out: Sequence[ScanPoints], trained: Sequence[ScanPoints]) -> np.ndarray:
+    poses, others = (np.stack([points.pose for points in side]) for side in (held_out, trained))
+    return pose_distances(poses, others).min(axis=1)
+
+
+def _read_rows(subject: Subject, rows: Sequence[Row], result: Evaluation) -> dict[str, dict[str, Wearing]]:
+    worn: dict[str, dict[str, Wearing]] = {}
+    for row in rows:
+        if row.missing is not None:
+            continue
+        try:
+            if row.name == TEMPLATE:
+                worn[row.name] = {TEMPLATE: subject.template()}
+            else:
+                worn[row.name] = {str(folder): subject.wearing(folder) for folder in row.folders}
+        except CaphyError as error:
+            result.left_out[row.name] = str(error)
+    return worn
+
+
+def _scan(scans: ScanSet, name: str):
+    if name not in scans.names:
+        raise CaphyError(f"{scans.folder}: has no scan {name!r}, which the run holds out; give the same scans")
+    return scans[scans.names.index(name)]
+
+
+def _evaluate_scan(
+    held: HeldOut, worn: Mapping[str, Mapping[str, Wearing]], look: Perceptual | None, result: Evaluation,
+    show: Shown | None,
+) -> None:  # fmt: skip
+    """Score one scan; it enters the result with all rows or not at all, so that rows have the same scans."""
+    found, first = {}, {}
+    for row, seeds in worn.items():
+        for seed, wearing in seeds.items():
+            dressed = wearing.held(held.points.pose, held.points.transl)
+            found[row, seed] = held.score(dressed, look)
+            first.setdefault(row, dressed)
+    for (row, seed), figures in found.items():
+        result.scores.setdefault(row, {}).setdefault(seed, {})[held.scan.name] = figures
+    if show is not None:
+        show(held, first)

@@ -1,0 +1,72 @@
+"""The rows of CaPhy's table, and where a run keeps the networks of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from caphy.errors import CaphyError
+from caphy.evaluate.dressed import KINDS, NETWORK
+from caphy.io.bundle import MANIFEST
+
+TEMPLATE: Final = "skinned template"
+"""A row that needs no training."""
+DATA_ONLY, SNUG, NO_DATA = "data-only", "SNUG", "ours without real data"
+NO_PHYSICS, OURS = "ours without optimised physics", "ours"
+PAPER: Final = {DATA_ONLY: (7.0, 8.2), SNUG: (10.8, 13.3), OURS: (6.76, 7.35)}
+"""What CaPhy reports for its two subjects [mm]; other people, other scans, other clothes."""
+
+PLACES: Final[dict[str, tuple[str, ...]]] = {
+    DATA_ONLY: ("rows/data_only",),
+    SNUG: ("rows/snug",),
+    NO_DATA: ("rows/no_data",),
+    NO_PHYSICS: ("rows/default_physics", "train"),
+    OURS: ("rows/ours", "collided", "fabric"),
+}
+"""Where a row's networks lie in a run's folder: the first of these that is there."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table: networks of one kind of training, one folder per seed."""
+
+    name: str
+    folders: tuple[Path, ...] = ()
+    """Each holds a network for every garment, or an avatar; none for :data:`TEMPLATE`."""
+    missing: str | None = None
+    """Why it cannot be evaluated."""
+
+
+def known_rows(run: Path) -> list[Row]:
+    """All rows, in the paper's order; those that were never trained say so."""
+    rows = [Row(TEMPLATE)]
+    for name, places in PLACES.items():
+        seeds = next((found for place in places if (found := seed_folders(run / place))), ())
+        rows.append(Row(name, seeds, None if seeds else f"not trained ({' or '.join(places)})"))
+    return rows
+
+
+def seed_folders(folder: Path) -> tuple[Path, ...]:
+    """The folders of networks in ``folder``: itself, or its ``seed_*``, sorted."""
+    if _holds_networks(folder):
+        return (folder,)
+    return tuple(sorted(seed for seed in folder.glob("seed_*") if _holds_networks(seed)))
+
+
+def given_row(text: str) -> Row:
+    """The row of NAME=FOLDER; raises CaphyError where the folder holds neither networks nor an avatar."""
+    name, _, folder = text.partition("=")
+    if not name or not folder:
+        raise CaphyError(f"a row must be given as NAME=FOLDER, got {text!r}")
+    seeds = seed_folders(Path(folder))
+    if not seeds:
+        raise CaphyError(
+            f"{folder}: holds no networks; it must be an avatar, or hold upper/{NETWORK} and lower/{NETWORK} (or "
+            "seed_1, seed_2 ... that do)"
+        )
+    return Row(name, seeds)
+
+
+def _holds_networks(folder: Path) -> bool:
+    return (folder / MANIFEST).is_file() or any((folder / kind / NETWORK).is_file() for kind in KINDS)

@@ -1,0 +1,68 @@
+"""The table as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+FIGURES = (
+    ("clothes_chamfer_mm", "Chamfer [mm]", 2),
+    ("mean_mm", "mean [mm]", 2),
+    ("pop_1e-4_m2", "POP [1e-4 m2]", 3),
+    ("upper_chamfer_mm", "upper [mm]", 2),
+    ("lower_chamfer_mm", "lower [mm]", 2),
+    ("perceptual", "perceptual", 4),
+)
+"""Key, heading and decimals of each column."""
+
+
+def table_lines(document: dict[str, Any]) -> list[str]:
+    """The evaluation of :meth:`caphy.evaluate.evaluation.Evaluation.document`, for a terminal."""
+    rows = document["rows"]
+    done = [row for row in rows if row["all"]]
+    shown = [column for column in FIGURES if any(column[0] in row["all"] for row in done)]
+    lines = [f"{len(document['scans'])} scans held out, {document['trained_on']} trained on", document["definition"]]
+    lines += [f"perceptual: {document['perceptual']}"] if document["perceptual"] else []
+    heads = ["", "seeds", *(heading for _, heading, _ in shown)]
+    lines += ["", *_aligned([heads, *(_cells(row, shown) for row in rows)])]
+    lines += ["", "Chamfer [mm] by motion class:", *_by_class(document, done)]
+    absent = [f"  {row['name']}: {row['missing']}" for row in rows if row["missing"]]
+    absent += [f"  {scan}: {why}" for scan, why in document["left_out"].items() if scan in document["scans"]]
+    lines += ["", "not evaluated:", *absent] if absent else []
+    paper = ", ".join(f"{name} {a:g} / {b:g}" for name, (a, b) in document["paper_mm"].items())
+    return [*lines, "", f"CaPhy's paper, two subjects of its own, for orientation [mm]: {paper}"]
+
+
+def cell(figure: dict[str, float] | None, seeds: int, decimals: int) -> str:
+    """A figure with its spread between seeds where there are several."""
+    if figure is None:
+        return "–"
+    text = f"{figure['mean']:.{decimals}f}"
+    return text if seeds < 2 else f"{text} ± {figure['spread']:.{decimals}f}"
+
+
+def _cells(row: dict[str, Any], shown: Sequence[tuple[str, str, int]]) -> list[str]:
+    return [
+        row["name"],
+        str(row["seeds"]) if row["name"] != "skinned template" else "",
+        *(cell(row["all"].get(key), row["seeds"], decimals) for key, _, decimals in shown),
+    ]
+
+
+def _by_class(document: dict[str, Any], rows: Sequence[dict[str, Any]]) -> list[str]:
+    names = sorted({scan["class"] for scan in document["scans"].values()})
+    heads = []
+    for name in names:
+        members = [scan for scan in document["scans"].values() if scan["class"] == name]
+        degrees = sum(scan["pose_distance_degrees"] for scan in members) / len(members)
+        heads.append(f"{name} ({len(members)}; {degrees:.0f} degrees)")
+    body = [
+        [row["name"], *(cell(row["classes"][name].get("clothes_chamfer_mm"), row["seeds"], 2) for name in names)]
+        for row in rows
+    ]
+    return [*_aligned([["", *heads], *body]), "degrees: mean joint angle to the nearest trained pose"]
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]

@@ -1,0 +1,72 @@
+"""What is known in a run's folder of the stages that were begun and finished."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from caphy.pipeline.stage import Stage
+
+FOLDER = "stages"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A stage that was begun."""
+
+    key: str
+    """Fingerprint of what it was begun with."""
+    finished: bool
+    seconds: float = 0.0
+    """What it took, from its last start."""
+    failure: str | None = None
+
+
+class Ledger:
+    """Entries and logs in ``RUN/stages``; damaged ones count as missing."""
+
+    def __init__(self, run: Path) -> None:
+        self.folder = run / FOLDER
+
+    def entry(self, stage: Stage) -> Entry | None:
+        """What is known of a stage."""
+        try:
+            return Entry(**json.loads((self.folder / f"{stage.name}.json").read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError):
+            return None
+
+    def write(self, stage: Stage, entry: Entry) -> None:
+        """Remember a stage, whole or not at all."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{stage.name}.json"
+        partial = path.with_name(path.name + ".partial")
+        partial.write_text(json.dumps(asdict(entry), indent=1), encoding="utf-8")
+        partial.replace(path)
+
+    def log(self, stage: Stage) -> Path:
+        """The stage's log."""
+        return self.folder / f"{stage.name}.log"
+
+    def up_to_date(self, stage: Stage) -> bool:
+        """Whether it was finished with what it depends on now, and its outputs are still there."""
+        entry = self.entry(stage)
+        if entry is None or not entry.finished or not all(path.exists() for path in stage.outputs):
+            return False
+        return entry.key == stage.key()
+
+    def begin(self, stage: Stage) -> None:
+        """Note the start; outputs of other inputs are removed, those of the same are there to go on from."""
+        key, entry = stage.key(), self.entry(stage)
+        if entry is None or entry.key != key:
+            for path in stage.outputs:
+                _remove(path)
+        self.write(stage, Entry(key, finished=False))
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,110 @@
+"""Stages one after another: those that are done already are passed over, and what is left is estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+
+from caphy.errors import CaphyError
+from caphy.pipeline.ledger import Entry, Ledger
+from caphy.pipeline.log import logged
+from caphy.pipeline.stage import Stage
+
+
+@dataclass
+class Pace:
+    """How long things take here against what they should."""
+
+    expected: float = 0.0
+    taken: float = 0.0
+
+    def add(self, stage: Stage, seconds: float) -> None:
+        """A stage was done in so many seconds."""
+        if not stage.timed:
+            self.expected, self.taken = self.expected + stage.seconds, self.taken + seconds
+
+    def left(self, stages: Sequence[Stage]) -> float:
+        """Seconds that stages will take."""
+        ratio = self.taken / self.expected if self.expected else 1.0
+        return sum(stage.seconds * (1.0 if stage.timed else ratio) for stage in stages)
+
+
+@dataclass
+class Outcome:
+    """What came of a run: names of stages done now, done before, and failed with the reason."""
+
+    done: list[str] = field(default_factory=list)
+    kept: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Of every stage that is done, from its last start."""
+
+
+def run_stages(stages: Sequence[Stage], run: Path, say: Callable[[str], None] = print) -> Outcome:
+    """Bring a run's folder up to date.
+
+    A stage's inputs are looked at when its turn comes, so that they may be outputs of those before it.
+
+    Raises:
+        CaphyError: a stage failed that the rest needs; what was done is kept.
+    """
+    ledger, outcome, pace = Ledger(run), Outcome(), Pace()
+    for number, stage in enumerate(stages):
+        head = f"[{number + 1} of {len(stages)}] {stage.what}"
+        if ledger.up_to_date(stage):
+            outcome.kept.append(stage.name)
+            outcome.seconds[stage.name] = _seconds(ledger, stage)
+            pace.add(stage, outcome.seconds[stage.name])
+            say(f"{head}: done before")
+            continue
+        left = [s for s in stages[number:] if s is stage or not _looks_done(ledger, s)]
+        say(f"{head}; about {_minutes(pace.left([stage]))}, {_minutes(pace.left(left))} for all that is left")
+        ledger.begin(stage)
+        _run(stage, ledger, outcome, say)
+        if stage.name in outcome.seconds:
+            pace.add(stage, outcome.seconds[stage.name])
+    return outcome
+
+
+def _run(stage: Stage, ledger: Ledger, outcome: Outcome, say: Callable[[str], None]) -> None:
+    started = monotonic()
+    key = stage.key()
+    try:
+        with logged(ledger.log(stage)):
+            stage.run()
+        missing = [path for path in stage.outputs if not path.exists()]
+        if missing:
+            raise CaphyError(f"{stage.name}: did not write {missing[0]}")
+    except CaphyError as error:
+        ledger.write(stage, Entry(key, False, monotonic() - started, str(error)))
+        with ledger.log(stage).open("a", encoding="utf-8") as log:
+            log.write(f"failed: {error}\n")
+        if not stage.may_fail:
+            raise CaphyError(
+                f"stage {stage.name}: {error}\nWhat was done before it is kept, and the same command goes on from "
+                f"there; its log is {ledger.log(stage)}"
+            ) from error
+        outcome.failed[stage.name] = str(error)
+        say(f"{stage.name}: failed, going on without it: {error}")
+        return
+    seconds = monotonic() - started
+    ledger.write(stage, Entry(key, True, seconds))
+    outcome.done.append(stage.name)
+    outcome.seconds[stage.name] = seconds
+
+
+def _seconds(ledger: Ledger, stage: Stage) -> float:
+    entry = ledger.entry(stage)
+    return entry.seconds if entry else 0.0
+
+
+def _looks_done(ledger: Ledger, stage: Stage) -> bool:
+    """A guess, for the estimate: what comes before it may still change its inputs."""
+    entry = ledger.entry(stage)
+    return entry is not None and entry.finished
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
