@@ -119,7 +119,7 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = self.schedule.rate(self.progress.step, done)
         track = self._turn()
-        loss = track.advance(self.model).mean()
+        loss = track.advance(self.model)[1].mean()
         self._require_finite(loss.detach())
         self.optimizer.zero_grad()
         loss.backward()
@@ -209,7 +209,7 @@ class Trainer:
             raise CaphyError(f"{self.folder}: {error}") from error
         self.progress = Progress(**{key: progress[key] for key in vars(self.progress) if key in progress})
         if self.rank == 0:
-            self._forget_later_metrics()
+            forget_later(self.folder / METRICS, self.progress.step)
 
     def _log(self, steps_per_second: float, done: float) -> None:
         loss = sum(self.progress.losses) / len(self.progress.losses)
@@ -236,10 +236,10 @@ class Trainer:
         with (self.folder / METRICS).open("a") as stream:
             stream.write(json.dumps(entry) + "\n")
 
-    def _forget_later_metrics(self) -> None:
-        """Drop the lines written after the checkpoint: they will be written again."""
-        path = self.folder / METRICS
-        if path.exists():
-            lines = [line for line in path.read_text().splitlines() if line.endswith("}")]
-            kept = [line for line in lines if json.loads(line)["step"] <= self.progress.step]
-            path.write_text("".join(f"{line}\n" for line in kept))
+
+def forget_later(path: Path, step: int) -> None:
+    """Drop the lines of metrics written after a checkpoint of ``step``: they will be written again."""
+    if path.exists():
+        lines = [line for line in path.read_text().splitlines() if line.endswith("}")]
+        kept = [line for line in lines if json.loads(line)["step"] <= step]
+        path.write_text("".join(f"{line}\n" for line in kept))

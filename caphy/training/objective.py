@@ -64,8 +64,13 @@ class Objective:
             offsets: predicted canonical offsets [m], (B, T, V, 3).
             past: what the previous call returned; half of it is not read where a window is fresh.
         """
+        _, potential, past = self.judge(motions, windows, offsets, past)
+        return potential, past
+
+    def judge(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Tensor, Past]:
+        """As calling it, with the positions (B, K, V, 3) [m] of the scored frames before the potential."""
         scene, past = self.scene(motions, windows, offsets, past)
-        return self.potential.loss(scene.x, scene.step, scene.body), past
+        return scene.x, self.potential.loss(scene.x, scene.step, scene.body), past
 
     def under(self, potential: Potential) -> Objective:
         """The same with another physics of the same cloth."""

@@ -172,13 +172,13 @@ class ScanLoss:
         self.distance = 0.0
         """Root mean square of both sides' distances in the last call [m]."""
 
-    def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Past]:
-        """Loss (B, 1) [J] of offsets (B, 1, V, 3) in the last frame of each window; the past is not read."""
+    def judge(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Tensor, Past]:
+        """Positions (B, 1, V, 3) [m] and loss (B, 1) [J] at offsets (B, 1, V, 3) in the last frame of each window."""
         x, potential = self._cloth(motions, windows, offsets)
         pairs = zip(x[:, 0], windows.frames[:, -1].tolist(), strict=True)
         squares = torch.stack([self.chamfer(vertices, self.targets[scan]) for vertices, scan in pairs])
         self.distance = float((0.5 * squares.detach().mean()).sqrt())
-        return potential + self.weight * squares[:, None], past
+        return x, potential + self.weight * squares[:, None], past
 
     def _cloth(self, motions: Motions, windows: Windows, offsets: Tensor) -> tuple[Tensor, Tensor]:
         """World positions (B, 1, V, 3) [m] and their potential (B, 1) [J]."""

@@ -19,8 +19,8 @@ from caphy.training.streams import Streams, Windows
 class Loss(Protocol):
     """What is asked of predicted frames: see :class:`caphy.training.objective.Objective`."""
 
-    def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Past]:
-        """Loss (B, K) [J] of the scored frames at offsets (B, T, V, 3) [m], and the streams' past after them."""
+    def judge(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Tensor, Past]:
+        """Positions (B, K, V, 3) [m] and loss (B, K) [J] of scored frames, and the streams' past after them."""
         ...
 
 
@@ -37,17 +37,20 @@ class Track:
         still = network.template.expand(share, -1, -1)
         self.past = Past(still, still)
 
-    def advance(self, model: Callable[..., tuple[Tensor, Tensor]]) -> Tensor:
-        """Loss (B, K) [J] of the next window of each own stream, with its gradient towards the model."""
+    def advance(self, model: Callable[..., tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
+        """Positions (B, K, V, 3) [m] and loss (B, K) [J] of the next window of each own stream.
+
+        Both carry the gradient towards the model; where it predicts what is not finite, the loss is not either.
+        """
         windows = self.streams.advance()[self.own]
         fresh = torch.as_tensor(windows.fresh, device=self.hidden.device)[None, :, None]
         features = windows.features(self.motions).to(self.hidden)
         offsets, hidden = model(features, torch.where(fresh, 0, self.hidden), self.last)
         if not torch.isfinite(offsets.detach().sum()):
-            return offsets.sum()  # there is nothing to look up nearest points for
-        loss, self.past = self.loss(self.motions, windows, offsets, self.past)
+            return offsets, offsets.sum((2, 3))  # nearest points cannot be looked up
+        x, loss, self.past = self.loss.judge(self.motions, windows, offsets, self.past)
         self.hidden = hidden.detach()
-        return loss
+        return x, loss
 
     def state(self) -> dict[str, Tensor]:
         """Where all streams stand, those of other processes included."""

@@ -1,0 +1,77 @@
+"""``caphy collide``: fine-tune garments worn together until they stop passing through each other."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.training.collide import Collider
+    from caphy.training.loop import Trainer
+
+
+@dataclass(frozen=True)
+class Collide:
+    """Fine-tune the networks of garments worn one over the other, two or more, until they keep out of each other."""
+
+    trainings: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders that 'caphy train' wrote, on the same body, motions and scans, the innermost garment first; a garment
+    that was supervised as hidden by another comes before it in any case."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the fine-tuned trainings, each under its own folder's name."""
+    epochs: int = 10
+    """Passes through the scans' poses, each with as many steps on random poses."""
+    seed: int = 0
+    """What is drawn follows from it alone."""
+    resume: bool = False
+    """Go on from the folder's checkpoint."""
+
+
+def main(arguments: list[str]) -> int | None:
+    """Entry point of ``caphy collide``."""
+    options = tyro.cli(Collide, args=arguments, prog="caphy collide", config=(tyro.conf.OmitArgPrefixes,))
+    if options.epochs < 1:
+        raise CaphyError(f"--epochs must be positive, got {options.epochs}")
+    if (options.output / "checkpoint.safetensors").exists() and not options.resume:
+        raise CaphyError(f"{options.output} holds a fine-tuning already: add --resume, or give another folder with -o")
+    collider = prepare(options)
+    if options.resume:
+        collider.resume()
+    try:
+        collider.run()
+    except KeyboardInterrupt:
+        print("interrupted; go on with --resume")
+        return 130
+    print(f"wrote {', '.join(str(options.output / name) for name in collider.names)}")
+    return 0
+
+
+def prepare(options: Collide) -> Collider:
+    """A fine-tuning ready to run, and folders with all that an export needs beside the networks to come."""
+    from caphy.commands.train import reopen
+    from caphy.training.collide import Collider
+
+    names = [folder.resolve().name for folder in options.trainings]
+    if len(set(names)) < len(names):
+        raise CaphyError(f"the folders' own names must differ, got {', '.join(names)}")
+    trainers = [reopen(folder) for folder in options.trainings]
+    order = sorted(range(len(names)), key=lambda i: not _hidden(trainers[i]))
+    folders, names = [options.trainings[i] for i in order], [names[i] for i in order]
+    collider = Collider(options.output, names, [trainers[i] for i in order], options.epochs, options.seed)
+    for folder, name in zip(folders, names, strict=True):
+        (options.output / name).mkdir(parents=True, exist_ok=True)
+        for kept in ("garment.npz", "model.json", "run.json", "options.json"):
+            shutil.copyfile(folder / kept, options.output / name / kept)
+    print(f"from the inside out: {', '.join(names)}; {collider.schedule.steps} steps")
+    return collider
+
+
+def _hidden(trainer: Trainer) -> bool:
+    """Whether scans showed another garment over this one."""
+    return trainer.scans is not None and any(target.over is not None for target in trainer.scans.loss.targets)

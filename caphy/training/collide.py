@@ -1,0 +1,181 @@
+"""Fine-tuning of garments worn together until they stop passing through each other (CaPhy, section 3.5)."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from caphy.errors import CaphyError
+from caphy.network.files import save_network
+from caphy.training.checkpoint import load_checkpoint, save_checkpoint
+from caphy.training.layers import Layers
+from caphy.training.loop import METRICS, NETWORK, Schedule, Trainer, forget_later
+from caphy.training.streams import HELD_WINDOWS, Streams
+from caphy.training.track import Track
+
+EPOCHS = 10
+"""Epochs of fine-tuning (CaPhy, section 3.5)."""
+LEAST_STEPS = 25
+"""Steps of an epoch of random poses, and of one of the scans', at least."""
+LEARNING_RATE = 5e-4
+DEEP = 0.001
+"""A vertex deeper than this on the wrong side of another garment counts as a collision [m]."""
+
+
+class Collider:
+    """Several trainings gone on with together: each one's own loss, and the contact of any two garments.
+
+    Steps on random poses and on the scans' poses take turns; all garments wear the same pose. Without scans, or where
+    one garment has none, all steps are on random poses.
+    """
+
+    def __init__(
+        self, folder: Path, names: Sequence[str], trainings: Sequence[Trainer], epochs: int = EPOCHS, seed: int = 0,
+        streams: int = 8, say: Callable[[str], None] = print,
+    ) -> None:  # fmt: skip
+        """``trainings`` from the inside out, ``names`` those of their folders under ``folder``.
+
+        Raises:
+            CaphyError: there are fewer than two, or they were not trained on the same body, motions and scans.
+        """
+        if len(trainings) < 2:
+            raise CaphyError(f"collisions need at least two garments, got {len(trainings)}")
+        _require_alike(names, trainings)
+        self.folder, self.names, self.say, self.trainings = folder, list(names), say, list(trainings)
+        self.layers = Layers([t.objective.potential.cloth for t in trainings])
+        self.learners = nn.ModuleList(t.learner for t in trainings)
+        self.optimizer = torch.optim.Adam(self.learners.parameters(), betas=(0.9, 0.99))
+        self.turns = [_random_tracks(trainings, streams, seed)]
+        scans, steps = [t.scans for t in trainings], 0
+        if all(scan is not None for scan in scans):
+            self.turns.append(_scan_tracks(trainings, streams, seed))
+            steps = -(-len(self.turns[1][0].motions) * HELD_WINDOWS // streams)
+        self.epoch_steps = len(self.turns) * max(steps, LEAST_STEPS)
+        """Steps of an epoch, those on random poses and those on scans."""
+        self.schedule = Schedule(epochs * self.epoch_steps, None, streams, LEARNING_RATE, warm_up=20)
+        self.done, self.seconds = 0, 0.0
+        folder.mkdir(parents=True, exist_ok=True)
+        self.contact = 0.0
+        """Mean energy [J] of contact between the garments in the last step."""
+
+    def step(self) -> float:
+        """One step of all garments; returns the mean loss of all together [J]."""
+        assert self.schedule.steps is not None
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.schedule.rate(self.done, self.done / self.schedule.steps)
+        tracks = self.turns[self.done % len(self.turns)]
+        results = [track.advance(learner) for track, learner in zip(tracks, self.learners, strict=True)]
+        own = torch.stack([loss.mean() for _, loss in results]).sum()
+        self._require_finite(own.detach())
+        contact = self.layers([x for x, _ in results]).mean()
+        loss = own + contact
+        self.optimizer.zero_grad()
+        loss.backward()
+        self._require_finite(*(p.grad for p in self.learners.parameters() if p.grad is not None))
+        self.optimizer.step()
+        self.done, self.contact = self.done + 1, float(contact.detach())
+        return float(loss.detach())
+
+    def run(self) -> None:
+        """Fine-tune to the end, saving after every epoch."""
+        assert self.schedule.steps is not None
+        while self.done < self.schedule.steps:
+            started, losses, contacts = time.monotonic(), [], []
+            for _ in range(self.epoch_steps):
+                losses.append(self.step())
+                contacts.append(self.contact)
+            self.seconds += time.monotonic() - started
+            self._log(float(np.mean(losses)), float(np.mean(contacts)))
+            self.save()
+        for training in self.trainings:
+            training.learner.fold(training.network)
+
+    def save(self) -> None:
+        """Write the networks and the checkpoint."""
+        for name, training in zip(self.names, self.trainings, strict=True):
+            training.learner.fold(training.network)
+            save_network(training.network, self.folder / name / NETWORK)
+        states = {
+            f"{turn}.{layer}.{key}": value
+            for turn, tracks in enumerate(self.turns)
+            for layer, track in enumerate(tracks)
+            for key, value in track.state().items()
+        }
+        progress = {"done": self.done, "seconds": self.seconds, "names": self.names, "steps": self.schedule.steps}
+        save_checkpoint(self.folder, self._modules(), self.optimizer, states, progress)
+
+    def resume(self) -> None:
+        """Go on from the folder's checkpoint.
+
+        Raises:
+            CaphyError: there is none, it is damaged or of other garments.
+        """
+        states, progress = load_checkpoint(self.folder, self._modules(), self.optimizer)
+        for what, own in (("names", self.names), ("steps", self.schedule.steps)):
+            if progress[what] != own:
+                raise CaphyError(f"{self.folder}: its checkpoint is of {what} {progress[what]}, not {own}")
+        for turn, tracks in enumerate(self.turns):
+            for layer, track in enumerate(tracks):
+                prefix = f"{turn}.{layer}."
+                track.restore({k.removeprefix(prefix): v for k, v in states.items() if k.startswith(prefix)})
+        self.done, self.seconds = progress["done"], progress["seconds"]
+        forget_later(self.folder / METRICS, self.done)
+
+    def _modules(self) -> dict[str, nn.Module]:
+        return {f"learner{i}": learner for i, learner in enumerate(self.learners)}
+
+    def _require_finite(self, *values: Tensor) -> None:
+        if not all(torch.isfinite(value.sum()) for value in values):
+            raise CaphyError(
+                f"step {self.done + 1}: a prediction, its loss or the gradient is not finite. The last good checkpoint "
+                f"is kept in {self.folder}; check the trainings with 'caphy validate', then go on with --resume"
+            )
+
+    def _log(self, loss: float, contact: float) -> None:
+        assert self.schedule.steps is not None
+        left = self.seconds * (self.schedule.steps - self.done) / self.done / 60
+        frames = self.done * self.schedule.streams * len(self.names) * 5 / self.seconds
+        entry = {"step": self.done, "seconds": round(self.seconds, 1), "loss_J": round(loss, 6)}
+        with (self.folder / METRICS).open("a") as stream:
+            stream.write(json.dumps(entry | {"contact_J": round(contact, 8)}) + "\n")
+        self.say(
+            f"epoch {self.done // self.epoch_steps}  loss {loss:.4f} J  contact between garments {contact:.2g} J  "
+            f"{frames:.0f} frames/s  {left:.0f} min left"
+        )
+
+
+def _random_tracks(trainings: Sequence[Trainer], streams: int, seed: int) -> list[Track]:
+    own = slice(0, streams)
+    return [
+        Track(t.track.motions, Streams(t.track.motions, streams, seed), t.objective, t.network, own) for t in trainings
+    ]
+
+
+def _scan_tracks(trainings: Sequence[Trainer], streams: int, seed: int) -> list[Track]:
+    from caphy.training.scans import ScanStreams
+
+    return [
+        Track(t.scans.motions, ScanStreams(len(t.scans.motions), streams, seed), t.scans.loss, t.network,
+              slice(0, streams), last=True)
+        for t in trainings if t.scans is not None
+    ]  # fmt: skip
+
+
+def _require_alike(names: Sequence[str], trainings: Sequence[Trainer]) -> None:
+    first = trainings[0]
+    for name, other in zip(names[1:], trainings[1:], strict=True):
+        own = [first.track.motions] + ([] if first.scans is None else [first.scans.motions])
+        theirs = [other.track.motions] + ([] if other.scans is None else [other.scans.motions])
+        if not np.allclose(first.network.joints, other.network.joints, atol=1e-4):
+            raise CaphyError(f"{name}: was trained on another body than {names[0]}; train them on the same one")
+        if first.network.fps != other.network.fps:
+            raise CaphyError(f"{name}: runs at {other.network.fps:g} fps, {names[0]} at {first.network.fps:g}")
+        for mine, yours in zip(own, theirs, strict=False):
+            if mine.names != yours.names or not np.array_equal(mine.starts, yours.starts):
+                raise CaphyError(f"{name}: was trained on other poses or scans than {names[0]}; give both the same")
