@@ -20,7 +20,8 @@ import torch
 import tyro
 
 from caphy.challenge.hidden import NOTHING, ONE, OUTSIDE, PAIRS
-from caphy.challenge.world import make
+from caphy.challenge.world import World, make
+from caphy.diagnose.diagnosis import Diagnosis
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,9 @@ class Options:
     scenes: tuple[str, ...] = ("square",)
     """Scenes of the challenge."""
     seeds: int = 1
-    """Motions, strengths and noises, from seed 1."""
+    """Motions, strengths and noises: how many seeds."""
+    first: int = 1
+    """The first of these seeds."""
     noise_mm: float = 1.0
     """Standard deviation of each coordinate [mm]."""
     points: int | None = None
@@ -55,7 +58,7 @@ def cases(options: Options) -> list[Case]:
     """All cases, kinds mixed so that a run cut short says something of each."""
     kinds = {"none": list(NOTHING), "outside": list(OUTSIDE), "pair": list(PAIRS)}
     every: list[Case] = []
-    for seed in range(1, options.seeds + 1):
+    for seed in range(options.first, options.first + options.seeds):
         for scene in options.scenes:
             singles = [("one", scene, name, seed) for name in ONE if _wanted(name, options)]
             others = [(k, scene, name, seed) for k, names in kinds.items() for name in names if _wanted(name, options)]
@@ -92,14 +95,44 @@ def run(case: Case, options: Options) -> dict:
         _BASES[key] = from_base(Study(scenes), world.model, scenes[0].motion is not None)
     learned = time.process_time() - began
     began = time.process_time()
-    told = figures(diagnose(world.model, world.train, _BASES[key], world.held_out))
-    told["ranking"] = told["ranking"][:6]
+    diagnosis = diagnose(world.model, world.train, _BASES[key], world.held_out)
     seconds = {"diagnosis": time.process_time() - began, "base": learned}
+    told = figures(diagnosis)
+    told["ranking"] = told["ranking"][:6]
+    told["windows_of_the_fit"] = _forms(diagnosis)
+    if kind in ("one", "pair"):
+        told["truth_held_out_mm"] = _truth_held_out(world)
     return {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": noise_mm, "points": points,
             "cpu_seconds": seconds, "answer": dict(world.answer), "diagnosis": told}  # fmt: skip
 
 
 _BASES: dict = {}
+
+
+def _forms(diagnosis: Diagnosis) -> dict | None:
+    """What each window says of the fitted numbers, so that rules for intervals can be tried afterwards."""
+    fit = diagnosis.search.fit
+    if fit is None:
+        return None
+    scenes = [response.scene for response in fit.responses]
+    known = fit.evidence
+    parts = {"a": known.a, "b": known.b, "c": known.c, "weight": known.weight, "change": fit.change}
+    return {"columns": [column.name for column in fit.columns], "scene": scenes,
+            **{name: np.asarray(part).tolist() for name, part in parts.items()}}  # fmt: skip
+
+
+def _truth_held_out(world: World) -> float:
+    """The median error on held-out windows of the very model that made them, on the user's mesh and at their step [mm]:
+    what no diagnosis can go below."""
+    from caphy.measure.scene import Scene
+    from caphy.measure.track import registered
+    from caphy.refit.study import Study
+
+    model = world.model
+    for name, values in world.answer["effects"].items():
+        model = model.with_effect(name, **{**model.effects.get(name, {}), **values})
+    responses = Study([registered(Scene.of(m), model) for m in world.held_out]).respond(model, ())
+    return 1e3 * float(np.nanmedian(np.concatenate([response.error.ravel() for response in responses])))
 
 
 def main() -> None:
@@ -238,9 +271,20 @@ def _part(part: Sequence[dict]) -> Iterator[str]:
             (h["before_mm"] - h["after_mm"]) / max(h["before_mm"] - f, 1e-9) for h, f in zip(held, floors, strict=True)
         ]
         yield f"  held-out median error: {100 * np.median(shares):.0f} % of the excess over the base's is gone (median)"
+    shares = list(_gone_of_what_can_go(one))
+    if shares:
+        yield f"  ... of the excess over the true model's, same mesh and step: {100 * np.median(shares):.0f} % (median)"
     if part:
         cpu = [row["cpu_seconds"]["diagnosis"] for row in part]
         yield f"  processor time of a diagnosis: median {np.median(cpu):.0f} s"
+
+
+def _gone_of_what_can_go(one: Sequence[dict]) -> Iterator[float]:
+    """Shares of the held-out excess over that of the true model, where there is an excess of half a noise."""
+    for row in one:
+        held, floor = row["diagnosis"]["held_out"], row["diagnosis"].get("truth_held_out_mm")
+        if held and floor is not None and held["before_mm"] - floor > 0.5 * row["noise_mm"]:
+            yield (held["before_mm"] - held["after_mm"]) / (held["before_mm"] - floor)
 
 
 def coefficients(found: Sequence[dict]) -> tuple[list[float], list[bool]]:
