@@ -27,6 +27,7 @@ COMMANDS = {
     "refit": "add an effect to a model and fit its parameters to measurements",
     "challenge": "make measurements with a hidden effect, and open the sealed answer",
     "evaluate": "hold dressed avatars against scans that nothing was trained on",
+    "fit": "from scans of a person to an avatar, in one go",
     "export": "write an avatar bundle: one ONNX graph per garment",
     "serve": "serve avatars over HTTP",
     "demo": "serve the default avatar, send it a motion, write a GLB and a contact sheet",

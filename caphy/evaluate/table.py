@@ -19,18 +19,39 @@ FIGURES = (
 def table_lines(document: dict[str, Any]) -> list[str]:
     """The evaluation of :meth:`caphy.evaluate.evaluation.Evaluation.document`, for a terminal."""
     rows = document["rows"]
-    done = [row for row in rows if row["all"]]
-    shown = [column for column in FIGURES if any(column[0] in row["all"] for row in done)]
+    heads, cells = figure_rows(document)
+    class_heads, by_class = class_rows(document)
     lines = [f"{len(document['scans'])} scans held out, {document['trained_on']} trained on", document["definition"]]
     lines += [f"perceptual: {document['perceptual']}"] if document["perceptual"] else []
-    heads = ["", "seeds", *(heading for _, heading, _ in shown)]
-    lines += ["", *_aligned([heads, *(_cells(row, shown) for row in rows)])]
-    lines += ["", "Chamfer [mm] by motion class:", *_by_class(document, done)]
+    lines += ["", *_aligned([heads, *cells])]
+    lines += ["", "Chamfer [mm] by motion class:", *_aligned([class_heads, *by_class])]
+    lines += ["in brackets the scans, and the mean joint angle to the nearest trained pose"]
     absent = [f"  {row['name']}: {row['missing']}" for row in rows if row["missing"]]
     absent += [f"  {scan}: {why}" for scan, why in document["left_out"].items() if scan in document["scans"]]
     lines += ["", "not evaluated:", *absent] if absent else []
     paper = ", ".join(f"{name} {a:g} / {b:g}" for name, (a, b) in document["paper_mm"].items())
     return [*lines, "", f"CaPhy's paper, two subjects of its own, for orientation [mm]: {paper}"]
+
+
+def figure_rows(document: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Headings and cells of the table: a line for each row, a column for each figure that any row has."""
+    done = [row for row in document["rows"] if row["all"]]
+    shown = [column for column in FIGURES if any(column[0] in row["all"] for row in done)]
+    return ["", "seeds", *(heading for _, heading, _ in shown)], [_cells(row, shown) for row in document["rows"]]
+
+
+def class_rows(document: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Headings and cells of the Chamfer distances [mm] by motion class, of the rows that were evaluated."""
+    heads, names = [""], sorted({scan["class"] for scan in document["scans"].values()})
+    for name in names:
+        members = [scan for scan in document["scans"].values() if scan["class"] == name]
+        degrees = sum(scan["pose_distance_degrees"] for scan in members) / len(members)
+        heads.append(f"{name} ({len(members)}; {degrees:.0f} degrees)")
+    rows = [row for row in document["rows"] if row["all"]]
+    return heads, [
+        [row["name"], *(cell(row["classes"][name].get("clothes_chamfer_mm"), row["seeds"], 2) for name in names)]
+        for row in rows
+    ]
 
 
 def cell(figure: dict[str, float] | None, seeds: int, decimals: int) -> str:
@@ -47,20 +68,6 @@ def _cells(row: dict[str, Any], shown: Sequence[tuple[str, str, int]]) -> list[s
         str(row["seeds"]) if row["name"] != "skinned template" else "",
         *(cell(row["all"].get(key), row["seeds"], decimals) for key, _, decimals in shown),
     ]
-
-
-def _by_class(document: dict[str, Any], rows: Sequence[dict[str, Any]]) -> list[str]:
-    names = sorted({scan["class"] for scan in document["scans"].values()})
-    heads = []
-    for name in names:
-        members = [scan for scan in document["scans"].values() if scan["class"] == name]
-        degrees = sum(scan["pose_distance_degrees"] for scan in members) / len(members)
-        heads.append(f"{name} ({len(members)}; {degrees:.0f} degrees)")
-    body = [
-        [row["name"], *(cell(row["classes"][name].get("clothes_chamfer_mm"), row["seeds"], 2) for name in names)]
-        for row in rows
-    ]
-    return [*_aligned([["", *heads], *body]), "degrees: mean joint angle to the nearest trained pose"]
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:

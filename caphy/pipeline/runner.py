@@ -12,6 +12,9 @@ from caphy.pipeline.ledger import Entry, Ledger
 from caphy.pipeline.log import logged
 from caphy.pipeline.stage import Stage
 
+PRIOR = 60.0
+"""Seconds of work at the expected pace that are believed in before anything was measured."""
+
 
 @dataclass
 class Pace:
@@ -27,7 +30,7 @@ class Pace:
 
     def left(self, stages: Sequence[Stage]) -> float:
         """Seconds that stages will take."""
-        ratio = self.taken / self.expected if self.expected else 1.0
+        ratio = (self.taken + PRIOR) / (self.expected + PRIOR)
         return sum(stage.seconds * (1.0 if stage.timed else ratio) for stage in stages)
 
 

@@ -105,14 +105,41 @@ def diagnosis_page(title: str, document: dict, pictures: Sequence[Picture], fact
             title=title,
             d=document,
             plots=[(caption, plots.bar_plot(caption, rows, None, label, 186)) for caption, label, rows in shown],
-            pictures=[
-                {"src": base64.b64encode(p.png).decode("ascii"), "caption": p.caption, "frame": p.frame}
-                for p in pictures
-            ],
+            pictures=[_inline(picture) for picture in pictures],
             facts=facts,
             style=(FOLDER / "page.css").read_text(encoding="utf-8"),
         )
     )
+
+
+def fit_page(
+    title: str, document: dict, pictures: Sequence[tuple[str, str, Sequence[Picture]]], facts: dict[str, str]
+) -> str:
+    """The page of an avatar made of scans; raises as the others.
+
+    Args:
+        document: sentences, cautions, figures, garments, tables, left_out, notes; see ``caphy.commands.fit_report``.
+        pictures: heading, note and pictures of each part.
+    """
+    return (
+        _environment()
+        .get_template("fit.html.j2")
+        .render(
+            title=title,
+            d=document,
+            pictures=[(heading, note, [_inline(picture) for picture in shown]) for heading, note, shown in pictures],
+            facts=facts,
+            style=(FOLDER / "page.css").read_text(encoding="utf-8") + ".wide { grid-template-columns: 1fr; }",
+        )
+    )
+
+
+def _inline(picture: Picture) -> dict[str, str | int]:
+    return {
+        "src": base64.b64encode(picture.png).decode("ascii"),
+        "caption": picture.caption,
+        "frame": picture.frame,
+    }
 
 
 def _environment():
@@ -138,10 +165,7 @@ def _prepared(section: Section) -> dict:
         "time_plot": _time_plot(figures, floor),
         "plots": shown[:_PLOTS],
         "more_plots": shown[_PLOTS:],
-        "pictures": [
-            {"src": base64.b64encode(p.png).decode("ascii"), "caption": p.caption, "frame": p.frame}
-            for p in section.pictures
-        ],
+        "pictures": [_inline(picture) for picture in section.pictures],
     }
 
 

@@ -1,0 +1,96 @@
+"""``caphy fit SCANS -o RUN``: from scans of a person to an avatar with its own clothes, in one go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from caphy.errors import CaphyError
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Make an avatar of a person's scans: checks, segments, registers, trains, exports, evaluates, and reports.
+
+    Run it again to go on where it was stopped; what is done and whose input has not changed is not done again.
+    """
+
+    scans: tyro.conf.Positional[Path]
+    """Folder of scans with a scans.toml; see docs/scans.md."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder of the run: gets avatar/, report.html, evaluation.json, and what every stage leaves."""
+    poses: tuple[Path, ...] = ()
+    """Pose files, or folders of them, whose motions the physics is learnt on; without any, motions are made."""
+    minutes: float = 60.0
+    """How long to train in all, collisions aside."""
+    steps: int | None = None
+    """How many steps to train in all, instead of minutes, collisions aside."""
+    parser: str | None = None
+    """colour, labels, or an ONNX human parser, as of 'caphy segment'; labels if all scans come with some, else
+    colour."""
+    layout: str = "schp-atr"
+    """What the classes of an ONNX parser are."""
+    body: str = "medium"
+    """An SMPL-X-format npz, or "medium" or "fine" for the bundled body."""
+    licence: str | None = None
+    """Licence of a body of your own, in words; it goes into the avatar."""
+    fabric: str = "gray-interlock"
+    """The measured fabric to start from."""
+    collision_epochs: int = 10
+    """How long to fine-tune against collisions, in passes through the scans' poses."""
+    hold_out: Literal["random", "unlike"] = "random"
+    """Which fifth of the scans is kept for the evaluation: drawn from the seed, or the poses least like the rest."""
+    vgg: Path | None = None
+    """Weights of VGG-16 for the perceptual error instead of FLIP."""
+    seed: int = 0
+    """Decides the split and what training draws."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to train."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run ``caphy fit`` with the arguments after it; 1 if the run is complete but for something told."""
+    options = tyro.cli(Fit, args=arguments, prog="caphy fit")
+    _check(options)
+
+    from caphy.commands.fit_scans import left_out
+    from caphy.commands.fit_stages import AVATAR, PAGE, Plan, stages
+    from caphy.pipeline.runner import run_stages
+    from caphy.scan.scan_set import ScanSet
+
+    count = len(ScanSet.read(options.scans))
+    given = {name: value for name, value in vars(options).items() if name != "output"}
+    plan = Plan(run=options.output, **given)
+    options.output.mkdir(parents=True, exist_ok=True)
+    outcome = run_stages(stages(plan, count), options.output)
+    for name, why in left_out(options.output).items():
+        print(f"left out: {name}: {why}")
+    for name, why in outcome.failed.items():
+        print(f"without {name}: {why}")
+    print(f"{sum(outcome.seconds.values()) / 60:.1f} min in all, {len(outcome.kept)} stages kept from before")
+    if "report" not in outcome.failed:
+        print(f"report: {options.output / PAGE}")
+    print(f"next: caphy serve --avatars {options.output / AVATAR}")
+    return 1 if outcome.failed else 0
+
+
+def _check(options: Fit) -> None:
+    from caphy.material.fabrics import fabric
+
+    for name in ("minutes", "steps", "collision_epochs"):
+        value = getattr(options, name)
+        if value is not None and not value > 0:
+            raise CaphyError(f"--{name.replace('_', '-')} must be positive, got {value}")
+    fabric(options.fabric)
+    if options.body not in ("medium", "fine") and options.licence is None:
+        raise CaphyError("a body of your own needs its licence in words, which goes into the avatar: --licence TEXT")
+    missing = [path for path in (*options.poses, *([options.vgg] if options.vgg else [])) if not path.exists()]
+    if missing:
+        raise CaphyError(f"{missing[0]}: there is no such file or folder")
+    if options.output.is_file():
+        raise CaphyError(f"{options.output}: must be a folder to write into, got a file")
+    if options.output.resolve().is_relative_to(options.scans.resolve()):
+        raise CaphyError(f"{options.output}: must not lie within the folder of the scans, which is only read")

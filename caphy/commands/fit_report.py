@@ -1,0 +1,164 @@
+"""The page that ``caphy fit`` ends with: what was made of the scans, how well it fits, what was left out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from caphy.commands.fit_pictures import all_pictures
+from caphy.commands.fit_scans import CHECKED, LABELLED, left_out, read
+
+PAGE = "report.html"
+CENTIMETRES = ("sleeve", "length", "leg", "rise", "ease", "sleeve_ease", "neck_width", "neck_depth")
+
+
+def write_report(run: Path) -> Path:
+    """Write ``report.html`` from what the stages left in a run's folder."""
+    import caphy
+    from caphy.register.result import write_text
+    from caphy.report.page.compose import fit_page
+
+    source = read(run, CHECKED)["source"]
+    facts = {"made by": f"caphy {caphy.__version__}", "serve it": f"caphy serve --avatars {run / 'avatar'}"}
+    page = fit_page(f"{source}: from scans to an avatar", document(run), all_pictures(run), facts)
+    write_text(run / PAGE, page)
+    return run / PAGE
+
+
+def document(run: Path) -> dict[str, Any]:
+    """All that the page says."""
+    evaluation = read(run, "evaluation.json")
+    garments = read(run, "garments.json")
+    reasons = left_out(run)
+    return {
+        "sentences": _sentences(run, evaluation, garments),
+        "cautions": _cautions(run, evaluation, reasons),
+        "figures": _figures(run, evaluation),
+        "garments": [_garment(kind, found) for kind, found in garments.items()],
+        "tables": [*_evaluation_tables(evaluation), *_parameter_tables(run), _times(run)],
+        "left_out": reasons,
+        "notes": {scan: why for scan, why in read(run, CHECKED)["notes"].items() if scan not in reasons},
+    }
+
+
+def _used(run: Path) -> list[str]:
+    return list(read(run, "body.json").get("scans", {}))
+
+
+def _sentences(run: Path, evaluation: Mapping[str, Any], garments: Mapping[str, Any]) -> list[str]:
+    worn = " and ".join(found["garment"] for found in garments.values())
+    lines = [f"{len(_used(run))} of {read(run, CHECKED)['scans']} scans became an avatar that wears {worn}."]
+    best, template = _best(evaluation), _row(evaluation, "skinned template")
+    if best is not None and template is not None:
+        count = len(evaluation["scans"])
+        lines.append(
+            f"On {count} {'scan' if count == 1 else 'scans'} that nothing was trained on, clothes of “{best['name']}” "
+            f"lie {_chamfer(best):.2f} mm from the scan's, those of the skinned template {_chamfer(template):.2f} mm."
+        )
+    return lines
+
+
+def _cautions(run: Path, evaluation: Mapping[str, Any], reasons: Mapping[str, str]) -> list[str]:
+    lines = []
+    if reasons:
+        lines.append(f"{len(reasons)} scans were left out; the reasons are below.")
+    if not evaluation:
+        lines.append("Nothing was evaluated; the log is in stages/evaluate.log.")
+    absent = [row["name"] for row in evaluation.get("rows", []) if row["missing"]]
+    if absent:
+        lines.append(f"Rows of the paper's table that this run does not hold: {', '.join(absent)}.")
+    if not (run / "fabric.json").is_file():
+        lines.append("The fabric's parameters are those it started from: they were not optimised.")
+    if not (run / "collided").is_dir():
+        lines.append("The networks were not fine-tuned against collisions of the garments.")
+    return lines
+
+
+def _figures(run: Path, evaluation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    shown = []
+    for row in (_best(evaluation), _row(evaluation, "skinned template")):
+        if row is not None:
+            shown.append((f"held out: {row['name']}", f"{_chamfer(row):.2f}", "mm"))
+    skin = [scan["skin_mean"] for scan in read(run, "body.json").get("scans", {}).values()]
+    if skin:
+        shown.append(("skin from the body", f"{1e3 * sum(skin) / len(skin):.1f}", "mm"))
+    shown.append(("scans used", str(len(_used(run))), f"of {read(run, CHECKED)['scans']}"))
+    shown.append(("time in all", f"{sum(_stage_seconds(run).values()) / 60:.1f}", "min"))
+    return shown
+
+
+def _row(evaluation: Mapping[str, Any], name: str) -> Mapping[str, Any] | None:
+    return next((row for row in evaluation.get("rows", []) if row["name"] == name and row["all"]), None)
+
+
+def _best(evaluation: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The row of the avatar: the last of ours that is there."""
+    found = (_row(evaluation, name) for name in ("ours", "ours without optimised physics"))
+    return next((row for row in found if row is not None), None)
+
+
+def _chamfer(row: Mapping[str, Any]) -> float:
+    return row["all"]["clothes_chamfer_mm"]["mean"]
+
+
+def _garment(kind: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    measures = [f"{name.replace('_', ' ')} {100 * found[name]:.1f}" for name in CENTIMETRES if name in found]
+    return {
+        "kind": kind,
+        "garment": found["garment"],
+        "scans": found["scans"],
+        "distance_mm": 1e3 * found["distance"],
+        "measures": ", ".join(measures),
+    }
+
+
+def _evaluation_tables(evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
+    from caphy.evaluate.table import class_rows, figure_rows
+
+    if not evaluation:
+        return []
+    heads, rows = figure_rows(evaluation)
+    class_heads, by_class = class_rows(evaluation)
+    note = (
+        f"{len(evaluation['scans'])} scans held out, {evaluation['trained_on']} trained on. {evaluation['definition']}"
+    )
+    return [
+        {"heading": "On held-out scans", "note": note, "heads": heads, "rows": rows},
+        {
+            "heading": "By motion class",
+            "note": "Chamfer [mm]; in brackets the scans and their mean joint angle to the nearest trained pose",
+            "heads": class_heads,
+            "rows": by_class,
+        },
+    ]
+
+
+def _parameter_tables(run: Path) -> list[dict[str, Any]]:
+    """The physics that each garment was trained with, one number a line; tables of measured fabrics by their mean."""
+    rows: list[Sequence[str]] = []
+    for kind in read(run, LABELLED)["kinds"]:
+        model = read(run / "train" / kind, "model.json")
+        rows.append([f"{kind}: density", f"{1e3 * model.get('density', 0):.0f} g/m2"])
+        for effect, values in model.get("effects", {}).items():
+            rows += [[f"{kind}: {effect.replace('_', ' ')}, {name}", _number(value)] for name, value in values.items()]
+    return [{"heading": "Physics", "note": "trained with", "heads": ["parameter", "value"], "rows": rows}]
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, int | float):
+        return f"{value:.4g}"
+    flat = [number for row in value for number in (row if isinstance(row, list) else [row])]
+    return f"table of {len(flat)}, {min(flat):.3g} to {max(flat):.3g}"
+
+
+def _stage_seconds(run: Path) -> dict[str, float]:
+    files = sorted((run / "stages").glob("*.json"))
+    entries = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
+    return {name: entry["seconds"] for name, entry in entries.items() if entry.get("finished")}
+
+
+def _times(run: Path) -> dict[str, Any]:
+    rows = [[name, f"{seconds:.0f} s"] for name, seconds in sorted(_stage_seconds(run).items(), key=lambda s: -s[1])]
+    return {"heading": "Times", "note": "of each stage's last start", "heads": ["stage", "took"], "rows": rows}

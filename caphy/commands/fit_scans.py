@@ -1,0 +1,141 @@
+"""The first stages of ``caphy fit``: which scans can be used, and what is what on them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.scan.checks import Finding
+    from caphy.scan.scan import Scan
+    from caphy.scan.scan_set import ScanSet
+
+CHECKED, LABELLED = "check.json", "segment.json"
+SCANS, LABELS = "scans", "labels"
+KINDS = ("upper", "lower")
+WORN = 0.5
+"""Share of the scans that must show a garment for it to count as worn."""
+
+
+def check_scans(folder: Path, run: Path, parser: str | None) -> None:
+    """Write what can be used into ``RUN/scans``, in metres and y up, and what was found into ``check.json``.
+
+    Raises:
+        CaphyError: nothing can be used.
+    """
+    from caphy.register.result import write_text
+    from caphy.scan.checks import check_set, usable
+    from caphy.scan.scan_set import ScanSet
+
+    scans = ScanSet.read(folder)
+    findings = check_set(scans, _every_tenth("read"))
+    for finding in findings:
+        print(f"{'left out' if finding.severe else 'note'}: {finding.scan}: {finding.message}", flush=True)
+    kept = usable(scans, findings)
+    parser = parser or ("labels" if all(scans[i].labels is not None for i in kept) else "colour")
+    _write_kept(scans, kept, run / SCANS, parser == "labels")
+    document = {
+        "source": scans.name,
+        "scans": len(scans),
+        "kept": [scans.names[i] for i in kept],
+        "parser": parser,
+        "left_out": _reasons(findings, True),
+        "notes": _reasons(findings, False),
+    }
+    write_text(run / CHECKED, json.dumps(document, indent=1))
+    print(f"{len(kept)} of {len(scans)} scans can be used")
+
+
+def segment_scans(run: Path, layout: str) -> None:
+    """Write ``RUN/labels``, and into ``segment.json`` which garments are worn and which scans show no clothes.
+
+    Raises:
+        CaphyError: no scan could be segmented, or none shows clothes.
+    """
+    from caphy.commands import segment
+    from caphy.register.result import write_text
+    from caphy.scan.checks import check_scan
+    from caphy.scan.scan_set import ScanSet
+
+    labels = run / LABELS
+    segment.main([str(run / SCANS), "-o", str(labels), "--parser", read(run, CHECKED)["parser"], "--layout", layout])
+    left_out, shown = {}, dict.fromkeys(KINDS, 0)
+    scans = ScanSet.read(run / SCANS, labels)
+    for scan in scans:
+        if scan.labels is None:
+            left_out[scan.name] = "could not be segmented; see the stage's log"
+            continue
+        severe = [finding.message for finding in check_scan(scan) if finding.severe]
+        if severe:
+            left_out[scan.name] = severe[0]
+            (labels / f"{scan.name}.npy").unlink()  # nobody may use it
+            print(f"left out: {scan.name}: {severe[0]}")
+            continue
+        for kind, share in cloth_shares(scan).items():
+            shown[kind] += share > 0.01
+    used = len(scans) - len(left_out)
+    if not used:
+        raise CaphyError("no scan shows clothes:\n" + "\n".join(f"  {n}: {why}" for n, why in left_out.items()))
+    kinds = [kind for kind, count in shown.items() if count >= WORN * used]
+    document = {"used": used, "kinds": kinds, "shown": shown, "left_out": left_out}
+    write_text(run / LABELLED, json.dumps(document, indent=1))
+    print(f"{used} scans labelled; worn: {', '.join(kinds)}")
+
+
+def cloth_shares(scan: Scan) -> dict[str, float]:
+    """Share of a labelled scan's vertices that show each kind of garment."""
+    from caphy.scan.scan import LABEL_NAMES
+
+    assert scan.labels is not None
+    return {kind: float((scan.labels == LABEL_NAMES.index(kind)).mean()) for kind in KINDS}
+
+
+def read(run: Path, name: str) -> dict[str, Any]:
+    """A stage's JSON; empty where that stage has not been."""
+    path = run / name
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def left_out(run: Path) -> dict[str, str]:
+    """Every scan that is not in the run's avatar, with the first reason that was found."""
+    reasons: dict[str, str] = {}
+    for name in (CHECKED, LABELLED, "body.json"):
+        for scan, why in read(run, name).get("left_out", {}).items():
+            reasons.setdefault(scan, why)
+    return reasons
+
+
+def _write_kept(scans: ScanSet, kept: Sequence[int], folder: Path, with_labels: bool) -> None:
+    from dataclasses import replace
+
+    from caphy.scan.scan_set import write_scan_set
+
+    for stray in folder.glob("*.ply"):
+        if stray.stem not in {scans.names[i] for i in kept}:
+            stray.unlink()
+    chosen = (replace(scans[i], labels=scans[i].labels if with_labels else None) for i in kept)
+    poses = scans.poses
+    if poses is not None:
+        index = list(kept)
+        poses = replace(poses, poses=poses.poses[index], transl=poses.transl[index])
+    write_scan_set(folder, chosen, scans.name, poses)
+
+
+def _reasons(findings: Sequence[Finding], severe: bool) -> Mapping[str, str]:
+    reasons: dict[str, str] = {}
+    for finding in findings:
+        if finding.severe == severe:
+            reasons.setdefault(finding.scan, finding.message)
+    return reasons
+
+
+def _every_tenth(what: str):
+    def say(done: int, total: int) -> None:
+        if done % 10 == 0 or done == total:
+            print(f"{what} {done} of {total}", flush=True)
+
+    return say

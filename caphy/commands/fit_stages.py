@@ -1,0 +1,215 @@
+"""The stages of ``caphy fit``; all but the first two and the last are commands of their own."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from caphy.commands.fit_scans import CHECKED, LABELLED, LABELS, SCANS, check_scans, read, segment_scans
+from caphy.errors import CaphyError
+from caphy.pipeline.stage import Stage
+
+AVATAR, PAGE = "avatar", "report.html"
+SUBJECT = ("body.npz", "upper.npz", "lower.npz", "subject_body.npz", "points", "split.json", LABELLED)
+"""What the registration leaves that training depends on."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is fitted, and how; see :class:`caphy.commands.fit.Fit`."""
+
+    scans: Path
+    run: Path
+    poses: tuple[Path, ...]
+    parser: str | None
+    layout: str
+    body: str
+    fabric: str
+    minutes: float
+    steps: int | None
+    collision_epochs: int
+    hold_out: Literal["random", "unlike"]
+    vgg: Path | None
+    licence: str | None
+    seed: int
+    device: str
+
+    def shared(self, share: float) -> list[str]:
+        """Options of a training that gets a share of the minutes, or of the steps where these are given."""
+        if self.steps is not None:
+            return ["--steps", str(max(1, round(share * self.steps)))]
+        return ["--minutes", f"{share * self.minutes:.6g}"]
+
+
+def stages(plan: Plan, count: int) -> list[Stage]:
+    """All stages for ``count`` scans, in order."""
+    run = plan.run
+    sources, labelled = (run / SCANS, run / CHECKED), (run / SCANS, run / LABELS, run / LABELLED)
+    subject = tuple(run / name for name in SUBJECT)
+    seconds = 60 * plan.minutes if plan.steps is None else 0.3 * plan.steps
+    timed = plan.steps is None
+    return [
+        Stage(
+            "check", "checking the scans", lambda: check_scans(plan.scans, run, plan.parser),
+            inputs=(plan.scans,), outputs=sources, options={"parser": plan.parser}, seconds=2 + 0.6 * count,
+        ),
+        Stage(
+            "segment", "telling skin, upper and lower garment apart", lambda: segment_scans(run, plan.layout),
+            inputs=(*sources, *_files(plan.parser, plan.layout)), outputs=labelled[1:],
+            options={"layout": plan.layout, "parser": plan.parser}, seconds=8 + 2.5 * count,
+        ),
+        Stage(
+            "body", "finding the body under the clothes", lambda: _body(plan),
+            inputs=(*labelled, *_files(plan.body)), outputs=(run / "body.npz", run / "body.json"),
+            options={"body": plan.body}, seconds=15 + 8 * count,
+        ),
+        Stage(
+            "garments", "choosing the garments' templates", lambda: _garments(plan),
+            inputs=(*labelled, run / "body.npz"), outputs=(run / "garments.json",),
+            options={"body": plan.body}, seconds=60,
+        ),
+        Stage(
+            "points", "splitting the scans", lambda: _points(plan),
+            inputs=(*labelled, run / "body.npz"),
+            outputs=(run / "points", run / "split.json", run / "subject_body.npz"),
+            options={"hold_out": plan.hold_out, "seed": plan.seed, "body": plan.body}, seconds=4 + 0.3 * count,
+        ),
+        Stage(
+            "train", "training on physics and scans", lambda: _train(plan),
+            inputs=(*subject, *plan.poses), outputs=(run / "train",),
+            options={"fabric": plan.fabric, "training": plan.shared(1), "seed": plan.seed, "device": plan.device},
+            seconds=seconds, timed=timed,
+        ),
+        Stage(
+            "collide", "fine-tuning against collisions of garments", lambda: _collide(plan),
+            inputs=(run / "train", *subject), outputs=(run / "collided",),
+            options={"epochs": plan.collision_epochs, "seed": plan.seed}, seconds=0.8 * 50 * plan.collision_epochs,
+            may_fail=True,
+        ),
+        Stage(
+            "export", "writing the avatar", lambda: _export(plan),
+            inputs=(run / "train", run / "collided", run / "subject_body.npz"), outputs=(run / AVATAR,),
+            options={"licence": plan.licence}, seconds=25,
+        ),
+        Stage(
+            "evaluate", "holding it against the scans left out of training", lambda: _evaluate(plan),
+            inputs=(*labelled, *subject, run / "train", run / "collided", run / "rows", *_files(plan.vgg)),
+            outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=15 + 1.5 * count,
+            may_fail=True,
+        ),
+        Stage(
+            "report", "writing the page", lambda: _report(plan),
+            inputs=(*labelled, *subject, run / "evaluation.json", run / "garments.json", run / AVATAR),
+            outputs=(run / PAGE,), seconds=15, may_fail=True,
+        ),
+    ]  # fmt: skip
+
+
+def kinds(run: Path) -> list[str]:
+    """The garments that the scans show, innermost first."""
+    return list(reversed(read(run, LABELLED)["kinds"]))
+
+
+def _command(name: str, *arguments: str | Path) -> None:
+    """Run a command as a user would; its line goes into the log."""
+    words = [str(argument) for argument in arguments]
+    print(f"$ caphy {name.replace('_', '-')} {' '.join(words)}", flush=True)
+    status = importlib.import_module(f"caphy.commands.{name}").main(words)
+    if status == 130:  # 'caphy train' ends so when it is interrupted
+        raise KeyboardInterrupt
+    if status:
+        raise CaphyError(f"caphy {name} ended with status {status}; see the stage's log")
+
+
+def _files(*given: str | Path | None) -> tuple[Path, ...]:
+    """Those options that are files."""
+    return tuple(path for path in (Path(value) for value in given if value) if path.is_file())
+
+
+def _labelled(plan: Plan) -> list[str | Path]:
+    return [plan.run / SCANS, "-o", plan.run, "--labels", plan.run / LABELS]
+
+
+def _body(plan: Plan) -> None:
+    _command("register", "body", *_labelled(plan), "--body", plan.body)
+
+
+def _garments(plan: Plan) -> None:
+    worn = read(plan.run, LABELLED)["kinds"]
+    for kind in {"upper", "lower"} - set(worn):
+        (plan.run / f"{kind}.npz").unlink(missing_ok=True)
+    _command("register", "garments", *_labelled(plan), "--body", plan.body, "--kinds", *worn)
+
+
+def _points(plan: Plan) -> None:
+    if plan.hold_out == "unlike":
+        _split_unlike(plan)
+    _command("register", "points", *_labelled(plan), "--body", plan.body, "--seed", str(plan.seed))
+
+
+def _split_unlike(plan: Plan) -> None:
+    """Hold out the poses least like the rest; 'caphy register points' keeps a split that is there."""
+    import json
+
+    from caphy.evaluate.classes import unlike_split
+    from caphy.garment.template import read_npz
+    from caphy.register.points import SPLIT
+    from caphy.register.result import write_text
+
+    fit = read_npz(plan.run / "body.npz")
+    split = unlike_split([str(name) for name in fit["names"]], fit["poses"])
+    write_text(plan.run / SPLIT, json.dumps(split, indent=1))
+
+
+def _train(plan: Plan) -> None:
+    worn = kinds(plan.run)
+    for kind in worn:
+        folder = plan.run / "train" / kind
+        resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
+        options = ["--fabric", plan.fabric, "--seed", str(plan.seed), "--device", plan.device]
+        garment, budget = plan.run / f"{kind}.npz", plan.shared(1 / len(worn))
+        _command("train", garment, *plan.poses, "-o", folder, "--scans", plan.run, *budget, *options, *resume)
+
+
+def _collide(plan: Plan) -> None:
+    worn, folder = kinds(plan.run), plan.run / "collided"
+    folder.mkdir(parents=True, exist_ok=True)
+    if len(worn) < 2:
+        print(f"only a {worn[0]} garment: there is nothing for it to collide with")
+        return
+    resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
+    budget = ["--epochs", str(plan.collision_epochs), "--seed", str(plan.seed)]
+    _command("collide", *(plan.run / "train" / kind for kind in worn), "-o", folder, *budget, *resume)
+
+
+def final(run: Path) -> list[Path]:
+    """The folders of the networks that the avatar is made of, innermost garment first: the last that there are."""
+    worn = kinds(run)
+    for stage in ("collided", "train"):
+        folders = [run / stage / kind for kind in worn]
+        if all((folder / "network.safetensors").is_file() for folder in folders):
+            return folders
+    raise CaphyError(f"{run}: holds no trained networks of {' and '.join(worn)}; run 'caphy fit' again")
+
+
+def _export(plan: Plan) -> None:
+    from export.avatar import BODY_LICENCE
+
+    trained: Sequence[Path] = final(plan.run)
+    licence = plan.licence or f"{BODY_LICENCE}; shape and garments fitted to scans"
+    body = plan.run / "subject_body.npz"
+    _command("export", *trained, "-o", plan.run / AVATAR, "--body", body, "--licence", licence)
+
+
+def _evaluate(plan: Plan) -> None:
+    vgg: list[str | Path] = [] if plan.vgg is None else ["--vgg", plan.vgg]
+    _command("evaluate", *_labelled(plan), *vgg)
+
+
+def _report(plan: Plan) -> None:
+    from caphy.commands.fit_report import write_report
+
+    print(write_report(plan.run))

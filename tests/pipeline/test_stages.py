@@ -1,0 +1,209 @@
+"""Stages are done once for the same input, go on where they were stopped, and never mix what belongs to other input."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from caphy.errors import CaphyError
+from caphy.pipeline.runner import Pace, run_stages
+from caphy.pipeline.stage import Stage, fingerprint
+
+
+class Work:
+    """Two stages: letters of a file, one file each, and their number; counts how often each is run."""
+
+    def __init__(self, folder: Path, text: str = "abc") -> None:
+        self.folder, self.source, self.runs = folder, folder / "source.txt", []
+        self.source.write_text(text)
+        self.stop_after: int | None = None
+        self.big = False
+
+    def letters(self) -> None:
+        self.runs.append("letters")
+        out = self.folder / "letters"
+        out.mkdir(exist_ok=True)
+        for number, letter in enumerate(self.source.read_text()):
+            if number == self.stop_after:
+                raise KeyboardInterrupt
+            if not (out / f"{number}.txt").exists():
+                print(f"wrote {letter}")
+                (out / f"{number}.txt").write_text(letter.upper() if self.big else letter)
+
+    def count(self) -> None:
+        self.runs.append("count")
+        (self.folder / "count.txt").write_text(str(len(list((self.folder / "letters").iterdir()))))
+
+    def stages(self) -> list[Stage]:
+        letters, count = self.folder / "letters", self.folder / "count.txt"
+        return [
+            Stage("letters", "writing", self.letters, (self.source,), (letters,), {"big": self.big}),
+            Stage("count", "counting", self.count, (letters,), (count,)),
+        ]
+
+    def run(self):
+        said = []
+        return run_stages(self.stages(), self.folder, said.append), said
+
+
+@pytest.fixture
+def work(tmp_path):
+    return Work(tmp_path)
+
+
+def test_what_is_done_is_not_done_again(work):
+    first, _ = work.run()
+    assert first.done == ["letters", "count"] and (work.folder / "count.txt").read_text() == "3"
+    again, said = work.run()
+    assert again.kept == ["letters", "count"] and work.runs == ["letters", "count"]
+    assert said == ["[1 of 2] writing: done before", "[2 of 2] counting: done before"]
+
+
+def test_changed_input_is_done_anew_without_what_was_left(work):
+    work.run()
+    work.source.write_text("xy")
+    outcome, _ = work.run()
+    assert outcome.done == ["letters", "count"]
+    assert sorted(path.read_text() for path in (work.folder / "letters").iterdir()) == ["x", "y"]
+    assert (work.folder / "count.txt").read_text() == "2"
+
+
+def test_the_same_content_written_again_is_no_change(work):
+    work.run()
+    work.source.write_text("abc")
+    os.utime(work.source, (1, 1))
+    assert work.run()[0].kept == ["letters", "count"]
+
+
+def test_only_what_depends_on_a_change_is_done_anew(work):
+    work.run()
+    (work.folder / "letters" / "0.txt").write_text("z")  # by hand: the stage that wrote it is content
+    assert work.run()[0].done == ["count"]
+    work.big = True
+    assert work.run()[0].done == ["letters", "count"]
+    assert (work.folder / "letters" / "0.txt").read_text() == "A"
+
+
+def test_a_missing_output_is_made_again(work):
+    work.run()
+    (work.folder / "count.txt").unlink()
+    assert work.run()[0].done == ["count"]
+    assert (work.folder / "count.txt").read_text() == "3"
+
+
+def test_a_stopped_stage_goes_on_with_what_it_left(work):
+    work.stop_after = 2
+    with pytest.raises(KeyboardInterrupt):
+        work.run()
+    work.stop_after = None
+    outcome, _ = work.run()
+    assert outcome.done == ["letters", "count"]
+    assert (work.folder / "stages" / "letters.log").read_text().split() == ["wrote", "a", "wrote", "b", "wrote", "c"]
+
+
+def test_a_stopped_stage_starts_anew_if_its_input_changed_meanwhile(work):
+    work.stop_after = 2
+    with pytest.raises(KeyboardInterrupt):
+        work.run()
+    work.stop_after = None
+    work.source.write_text("xbc")
+    work.run()
+    assert (work.folder / "letters" / "0.txt").read_text() == "x"
+
+
+def test_a_damaged_record_counts_as_none(work):
+    work.run()
+    (work.folder / "stages" / "letters.json").write_text('{"key": ')
+    assert work.run()[0].done == ["letters"]
+
+
+def test_a_failure_names_stage_and_log_and_keeps_what_was_done(work):
+    def fail() -> None:
+        raise CaphyError("scan_003.ply: has no labels")
+
+    stages = [work.stages()[0], Stage("broken", "breaking", fail)]
+    with pytest.raises(CaphyError, match=r"stage broken: scan_003\.ply: has no labels\n.*is kept.*broken\.log"):
+        run_stages(stages, work.folder, lambda line: None)
+    assert "has no labels" in (work.folder / "stages" / "broken.log").read_text()
+    assert run_stages(work.stages(), work.folder, lambda line: None).kept == ["letters"]
+
+
+def test_what_may_fail_does_not_stop_the_rest(work):
+    def fail() -> None:
+        raise CaphyError("no weights")
+
+    stages = [Stage("extra", "more", fail, may_fail=True), *work.stages()]
+    outcome = run_stages(stages, work.folder, lambda line: None)
+    assert outcome.failed == {"extra": "no weights"} and outcome.done == ["letters", "count"]
+    assert run_stages(stages, work.folder, lambda line: None).failed == {"extra": "no weights"}  # tried again
+
+
+def test_a_stage_that_does_not_write_what_it_should_has_failed(work):
+    with pytest.raises(CaphyError, match="did not write"):
+        run_stages([Stage("idle", "idling", lambda: None, outputs=(work.folder / "none",))], work.folder, print)
+
+
+def test_estimates_follow_the_machine_but_not_a_time_that_was_asked_for():
+    slow, asked = Stage("a", "", lambda: None, seconds=300), Stage("b", "", lambda: None, seconds=600, timed=True)
+    pace = Pace()
+    assert pace.left([slow, asked]) == pytest.approx(900)
+    pace.add(slow, 600)
+    pace.add(asked, 6000)
+    assert pace.left([asked]) == pytest.approx(600)
+    assert 450 < pace.left([slow]) < 600
+
+
+def test_fingerprints_tell_contents_and_names_not_what_is_being_written(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "one.npz").write_bytes(b"1")
+    before = fingerprint(tmp_path / "a")
+    (tmp_path / "a" / "two.npz.partial").write_bytes(b"half")
+    assert fingerprint(tmp_path / "a") == before
+    (tmp_path / "a" / "one.npz").rename(tmp_path / "a" / "other.npz")
+    assert fingerprint(tmp_path / "a") != before
+    assert fingerprint(tmp_path / "none") == "missing"
+
+
+KILLED = """
+import sys, time
+sys.path.insert(0, {here!r})
+from pathlib import Path
+from test_stages import Work
+work = Work(Path(sys.argv[1]), "abcdef")
+letters = work.letters
+def slow():
+    work.stop_after = 3
+    try:
+        letters()
+    except KeyboardInterrupt:
+        time.sleep(600)
+work.letters = slow
+work.run()
+"""
+
+
+def test_killed_and_run_again_equals_uninterrupted(tmp_path):
+    for name in ("whole", "broken"):
+        (tmp_path / name).mkdir()
+    whole = Work(tmp_path / "whole", "abcdef")
+    whole.run()
+    code = KILLED.format(here=str(Path(__file__).parent))
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "broken")])
+    last, deadline = tmp_path / "broken" / "letters" / "2.txt", time.monotonic() + 120
+    while not last.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    broken = Work(tmp_path / "broken", "abcdef")
+    assert json.loads((broken.folder / "stages" / "letters.json").read_text())["finished"] is False
+    outcome, _ = broken.run()
+    assert outcome.done == ["letters", "count"]
+    for name in ("letters", "count.txt"):
+        assert fingerprint(broken.folder / name) == fingerprint(whole.folder / name)
