@@ -104,7 +104,12 @@ def write(diagnosis: Diagnosis, command: Diagnose) -> None:
     if diagnosis.found:
         added = " ".join(f"--add {name}" for name in diagnosis.found)
         files = " ".join(map(str, command.measurements))
-        print(f"next: caphy refit {command.model} {files} {added} -o {command.output / 'refitted.json'}")
+        apart = _option("base", command.base) + _option("held-out", command.held_out)
+        print(f"next: caphy refit {command.model} {files} {added}{apart} -o {command.output / 'refitted.json'}")
+
+
+def _option(name: str, paths: tuple[Path, ...]) -> str:
+    return f" --{name} {' '.join(map(str, paths))}" if paths else ""
 
 
 def _before_after(before: Model, after: Model, command: Diagnose) -> None:

@@ -30,6 +30,8 @@ class RefitCommand:
     """The new model, a .json; for tables of tensile tests a folder."""
     add: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Effects to add; without any the model's own parameters are fitted."""
+    base: tuple[Path, ...] = ()
+    """Measurements of the same cloth for which the model's effects are trusted, as in caphy diagnose."""
     held_out: tuple[Path, ...] = ()
     """Measurements that nothing is fitted to; without them every fourth window is held out."""
     garment: Path | None = None
@@ -60,6 +62,7 @@ def _refit(command: RefitCommand, model: Model) -> None:
     import torch
 
     from caphy.body.model import BodyModel
+    from caphy.diagnose.base import base_of
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
     from caphy.refit.crew import Crew
@@ -71,7 +74,9 @@ def _refit(command: RefitCommand, model: Model) -> None:
     body = None if command.body is None else BodyModel.load(command.body)
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     with Progress("refit") as progress, Crew(command.effect_file) as crew:
-        found = refit(model, measured, command.add, proof, garment, body, progress, crew)
+        calm = [read_measurement(path) for path in command.base]
+        learned = base_of(model, calm, garment, body, progress, crew)
+        found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
     print(table(found))
     if not found.kept and command.add:
         print("The model stays as it was; nothing was written.")

@@ -9,20 +9,28 @@ R. Stat. Soc. B 63, 2001) in a basis of physical effects, told from data of its 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from caphy.body.model import BodyModel
+from caphy.diagnose.checks import check_cloth
 from caphy.diagnose.flexible import flexible_gains
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import Probes
 from caphy.diagnose.screen import screened
 from caphy.effects.model import Model
+from caphy.garment.template import Garment
+from caphy.io.measurements import Measurement
+from caphy.measure.scene import Scene
+from caphy.measure.track import registered
 from caphy.refit.columns import Column, moved
+from caphy.refit.crew import Crew
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
+from caphy.refit.learned import Learned
 from caphy.refit.responses import Response
-from caphy.refit.study import Study, picked
+from caphy.refit.study import Progress, Study, picked
 
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """How much corrections may be shrunk, in units of what the data say of each alone; windows left out choose."""
@@ -33,27 +41,21 @@ _ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Base:
+class Base(Learned):
     """Learned from base measurements.
 
     Attributes:
-        model: with parameters moved to where they asked for, if that was far.
-        changed: by how much in all, relatively, by "effect.parameter".
-        correction: how much of each column, by name, stands for what mesh and solver get wrong.
+        changed: by how much parameters were moved in all, relatively, by "effect.parameter".
         mistaken: gain of each explanation, by label, before any correction: how much mesh and solver look like it.
         gain: best gain of the library in windows corrected by all the others.
         probes: best gain of flexible forces there.
-        variance: what is left in each mode at each lag (L, M) [m^2].
         median_mm: median distance there.
     """
 
-    model: Model
     changed: dict[str, float]
-    correction: Mapping[str, float]
     mistaken: Mapping[str, float]
     gain: float
     probes: float
-    variance: np.ndarray
     median_mm: float
 
 
@@ -74,6 +76,37 @@ class _Look:
         return ridged(*self.known.normal, self.ridge)
 
 
+def checked_scene(
+    measurement: Measurement,
+    model: Model,
+    garment: Garment | None = None,
+    body: BodyModel | None = None,
+    progress: Progress | None = None,
+) -> Scene:
+    """A measurement's scene, its cloth checked; point clouds are registered with the model's help.
+
+    Raises :class:`CaphyError` where the measurement does not fit the cloth.
+    """
+    scene = Scene.of(measurement, garment, body)
+    check_cloth(scene)
+    return registered(scene, model, progress)
+
+
+def base_of(
+    model: Model,
+    measurements: Sequence[Measurement],
+    garment: Garment | None = None,
+    body: BodyModel | None = None,
+    progress: Progress | None = None,
+    crew: Crew | None = None,
+) -> Base | None:
+    """Learned from base measurements; nothing without any."""
+    if not measurements:
+        return None
+    scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in measurements]
+    return from_base(Study(scenes, progress=progress, crew=crew), model, scenes[0].motion is not None)
+
+
 def from_base(study: Study, model: Model, on_body: bool) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
     changed: dict[str, float] = {}
@@ -92,7 +125,7 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
     correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
     mistaken = {s.group.label: s.gain for s in screened(look.known, look.groups, look.places, model)}
     median_mm = 1e3 * float(np.nanmedian(errors))
-    return Base(model, changed, correction, mistaken, gain, probes, look.variance, median_mm)
+    return Base(model, look.columns, correction, look.variance, changed, mistaken, gain, probes, median_mm)
 
 
 def _looked(study: Study, model: Model, on_body: bool) -> _Look:

@@ -10,8 +10,7 @@ import numpy as np
 
 from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
-from caphy.diagnose.base import Base, from_base
-from caphy.diagnose.checks import check_cloth
+from caphy.diagnose.base import Base, base_of, checked_scene
 from caphy.diagnose.groups import columns_of
 from caphy.diagnose.outside import Outside, outside
 from caphy.diagnose.search import Search, search
@@ -20,8 +19,6 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.noise import measurement_noise
-from caphy.measure.scene import Scene
-from caphy.measure.track import registered
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import half_widths
@@ -142,15 +139,11 @@ def diagnose(
     began = time.perf_counter()
     if not measurements:
         raise CaphyError("give at least one measurement to diagnose")
-    calm = () if isinstance(base, Base) else tuple(base)
-    every = (*measurements, *calm, *held_out)
-    scenes = [registered(_scene(measurement, garment, body), model, progress) for measurement in every]
-    count, more = len(measurements), len(measurements) + len(calm)
-    study = Study(scenes[:count], progress=progress, crew=crew)
+    every = (*measurements, *held_out)
+    scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in every]
+    study = Study(scenes[: len(measurements)], progress=progress, crew=crew)
     on_body = scenes[0].motion is not None
-    known = base if isinstance(base, Base) else None
-    if calm:
-        known = from_base(Study(scenes[count:more], progress=progress, crew=crew), model, on_body)
+    known = base if isinstance(base, Base) else base_of(model, base, garment, body, progress, crew)
     start = model if known is None else known.model
     found = search(study, start, model, on_body, known)
     errors = None
@@ -159,15 +152,9 @@ def diagnose(
         expected = None if known is None else known.correction
         variance = found.screens[0].variance
         everything = () if known is None else columns
-        errors = held_out_errors(scenes[more:], found.fit, variance, progress, everything, expected, crew)
+        errors = held_out_errors(scenes[len(measurements) :], found.fit, variance, progress, everything, expected, crew)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
-
-
-def _scene(measurement: Measurement, garment: Garment | None, body: BodyModel | None) -> Scene:
-    scene = Scene.of(measurement, garment, body)
-    check_cloth(scene)
-    return scene
 
 
 def _concluded(

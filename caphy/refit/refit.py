@@ -20,6 +20,7 @@ from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors, judged
 from caphy.refit.intervals import half_widths
+from caphy.refit.learned import Learned
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked
 
 LEAST = 0.01
@@ -61,26 +62,30 @@ def refit(
     body: BodyModel | None = None,
     progress: Progress | None = None,
     crew: Crew | None = None,
+    learned: Learned | None = None,
 ) -> Refit:
     """Fit the numbers of added effects, or without any the model's own parameters, jointly on real roll-outs.
 
     Point clouds are registered with the model's help. Without held-out measurements every fourth window is held out.
-    ``crew`` shares the work.
+    ``crew`` shares the work. What base measurements have ``learned`` is taken from all residuals, and the refit starts
+    from the parameters that they asked for.
 
     Raises:
         CaphyError: an effect is unknown, is there already, or the measurements are too short.
     """
     names = _checked(model, add)
+    model = model if learned is None else learned.model
     scenes = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in measurements]
     study = Study(scenes, progress=progress, crew=crew)
     apart = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in held_out]
     proof = None if apart else _split(study)
-    fitted, first, removed = _fitted(study, model, names)
+    fitted, first, removed = _fitted(study, model, names, learned)
     variance = first.variance
+    known = () if learned is None else learned.columns, {} if learned is None else learned.correction
     if proof is None:
-        errors = held_out_errors(apart, fitted, variance, progress, crew=crew)
+        errors = held_out_errors(apart, fitted, variance, progress, *known, crew=crew)
     else:
-        errors = judged(proof, fitted, variance)
+        errors = judged(proof, fitted, variance, *known)
     kept = tuple(name for name in names if name not in removed)
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
     if errors.share < max(PROVEN * fitted.share, LEAST):
@@ -117,11 +122,19 @@ def _columns(model: Model, names: Sequence[str]) -> tuple[Column, ...]:
     return tuple(column for name in model.effects for column in tunable(name, model))
 
 
-def _fitted(study: Study, model: Model, names: tuple[str, ...]) -> tuple[Fit, _First, tuple[str, ...]]:
+def _fitted(
+    study: Study, model: Model, names: tuple[str, ...], learned: Learned | None
+) -> tuple[Fit, _First, tuple[str, ...]]:
     """The joint fit, then without each effect that is not needed (backward elimination)."""
     columns = _columns(model, names)
-    responses = study.respond(model, columns, "before")
-    variance = study.variance(responses)
+    if learned is None:
+        responses = study.respond(model, columns, "before")
+        variance = study.variance(responses)
+    else:
+        every = (*learned.columns, *(column for column in columns if column not in learned.columns))
+        responses = study.correct(study.respond(model, every, "before"), every, learned.correction)
+        responses = picked(responses, [every.index(column) for column in columns])
+        variance = learned.variance
     known = evidence(responses, variance)
     weight = robust_weights(known)
     first = _First(float((weight * known.c).sum()), variance)

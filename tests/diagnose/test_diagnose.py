@@ -106,6 +106,12 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     assert found.found == ("mass_damping",)
     assert abs(found.coefficients["mass_damping.rate"].value - 3.0) < 0.3
     assert diagnose(stiff, [taken(3)], known).verdict == "nothing"
+    again = refit(stiff, dragged[:1], ("mass_damping",), dragged[1:], learned=known)
+    assert again.kept == ("mass_damping",)
+    value, low, high, _ = again.coefficients["mass_damping.rate"]
+    assert abs(value - 3.0) < 0.3 and low < value < high
+    blind = refit(stiff, dragged[:1], ("mass_damping",), dragged[1:]).coefficients["mass_damping.rate"][0]
+    assert abs(value - 3.0) < abs(blind - 3.0)
 
 
 @pytest.mark.parametrize(
