@@ -90,7 +90,7 @@ class Evaluation:
         scores = self.scores.get(row.name, {})
         return {
             "name": row.name,
-            "missing": row.missing or self.left_out.get(row.name),
+            "missing": row.missing or (self.left_out.get(row.name) if not scores else None),
             "seeds": len(scores),
             "all": self.figures(row.name),
             "classes": {name: self.figures(row.name, name) for name in names},
@@ -147,16 +147,14 @@ def _distances(held_out: Sequence[ScanPoints], trained: Sequence[ScanPoints]) ->
 def _read_rows(subject: Subject, rows: Sequence[Row], result: Evaluation) -> dict[str, dict[str, Wearing]]:
     worn: dict[str, dict[str, Wearing]] = {}
     for row in rows:
-        if row.missing is not None:
-            continue
-        try:
-            if row.name == TEMPLATE:
-                worn[row.name] = {TEMPLATE: subject.template()}
-            else:
-                worn[row.name] = {str(folder): subject.wearing(folder) for folder in row.folders}
-        except CaphyError as error:
-            result.left_out[row.name] = str(error)
-    return worn
+        if row.name == TEMPLATE:
+            worn[row.name] = {TEMPLATE: subject.template()}
+        for folder in row.folders:
+            try:
+                worn.setdefault(row.name, {})[str(folder)] = subject.wearing(folder)
+            except CaphyError as error:  # a seed that is not whole; the row goes on with the others
+                result.left_out[row.name] = str(error)
+    return {name: seeds for name, seeds in worn.items() if seeds}
 
 
 def _scan(scans: ScanSet, name: str):

@@ -17,15 +17,6 @@ NO_PHYSICS, OURS = "ours without optimised physics", "ours"
 PAPER: Final = {DATA_ONLY: (7.0, 8.2), SNUG: (10.8, 13.3), OURS: (6.76, 7.35)}
 """What CaPhy reports for its two subjects [mm]; other people, other scans, other clothes."""
 
-PLACES: Final[dict[str, tuple[str, ...]]] = {
-    DATA_ONLY: ("rows/data_only",),
-    SNUG: ("rows/snug",),
-    NO_DATA: ("rows/no_data",),
-    NO_PHYSICS: ("rows/default_physics", "train"),
-    OURS: ("rows/ours", "collided", "fabric"),
-}
-"""Where a row's networks lie in a run's folder: the first of these that is there."""
-
 
 @dataclass(frozen=True)
 class Row:
@@ -41,10 +32,25 @@ class Row:
 def known_rows(run: Path) -> list[Row]:
     """All rows, in the paper's order; those that were never trained say so."""
     rows = [Row(TEMPLATE)]
-    for name, places in PLACES.items():
+    for name, places in _places(run).items():
         seeds = next((found for place in places if (found := seed_folders(run / place))), ())
-        rows.append(Row(name, seeds, None if seeds else f"not trained ({' or '.join(places)})"))
+        rows.append(Row(name, seeds, None if seeds else f"not trained (no networks in {' or '.join(places)})"))
     return rows
+
+
+def _places(run: Path) -> dict[str, tuple[str, ...]]:
+    """Where a row's networks lie in a run's folder: the first of these that is there.
+
+    What was fine-tuned against collisions counts as ours only if the fabric had been optimised before.
+    """
+    optimised = (run / "fabric.json").is_file()
+    return {
+        DATA_ONLY: ("rows/data_only",),
+        SNUG: ("rows/snug",),
+        NO_DATA: ("rows/no_data",),
+        NO_PHYSICS: ("rows/default_physics", "train") if optimised else ("rows/default_physics", "collided", "train"),
+        OURS: ("rows/ours", "collided", "fabric") if optimised else ("rows/ours",),
+    }
 
 
 def seed_folders(folder: Path) -> tuple[Path, ...]:

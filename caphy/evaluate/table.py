@@ -28,6 +28,11 @@ def table_lines(document: dict[str, Any]) -> list[str]:
     lines += ["in brackets the scans, and the mean joint angle to the nearest trained pose"]
     absent = [f"  {row['name']}: {row['missing']}" for row in rows if row["missing"]]
     absent += [f"  {scan}: {why}" for scan, why in document["left_out"].items() if scan in document["scans"]]
+    absent += [
+        f"  {row['name']}, one seed: {document['left_out'][row['name']]}"
+        for row in rows
+        if _lacks_a_seed(row, document)
+    ]
     lines += ["", "not evaluated:", *absent] if absent else []
     paper = ", ".join(f"{name} {a:g} / {b:g}" for name, (a, b) in document["paper_mm"].items())
     return [*lines, "", f"CaPhy's paper, two subjects of its own, for orientation [mm]: {paper}"]
@@ -60,6 +65,10 @@ def cell(figure: dict[str, float] | None, seeds: int, decimals: int) -> str:
         return "–"
     text = f"{figure['mean']:.{decimals}f}"
     return text if seeds < 2 else f"{text} ± {figure['spread']:.{decimals}f}"
+
+
+def _lacks_a_seed(row: dict[str, Any], document: dict[str, Any]) -> bool:
+    return row["missing"] is None and row["name"] in document["left_out"]
 
 
 def _cells(row: dict[str, Any], shown: Sequence[tuple[str, str, int]]) -> list[str]:
