@@ -9,7 +9,7 @@ from pathlib import Path
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.training.checkpoint import NAME
-from caphy.training.loop import Schedule, Trainer
+from caphy.training.loop import METRICS, Schedule, Trainer
 
 KEPT = ("garment.npz", "run.json", "options.json")
 """What a training's folder holds besides its network and its physics."""
@@ -38,7 +38,8 @@ def onward(
         after.resume()
         return after
     if after.rank == 0:
-        (folder / NAME).unlink(missing_ok=True)
+        for name in (NAME, METRICS):
+            (folder / name).unlink(missing_ok=True)
         _record(trainer.folder, folder, model, steps, seed)
     return after
 

@@ -6,12 +6,14 @@ import json
 from pathlib import Path
 
 import numpy as np
-from small_world import swaying, tube
+from small_world import small_trainer, swaying, tube
 
 from caphy.body.bundled import default_body
 from caphy.garment.template import Garment
 from caphy.register.points import ScanPoints
 from caphy.rotations import matrix_from_axis_angle
+from caphy.training.loop import Trainer
+from caphy.training.scans import Scans
 
 WIDER = 0.02
 """How far the worn tube stands off its template at the lower edge [m]."""
@@ -64,3 +66,11 @@ def write_run(folder: Path, train: int = 5, held_out: int = 1) -> Path:
     (folder / "split.json").write_text(json.dumps({"train": names[:train], "held_out": names[train:]}))
     tube().save(folder / "lower.npz")
     return folder
+
+
+def supervised_trainer(folder: Path, scans: int = 4, physics: bool = True, steps: int = 12, seed: int = 0) -> Trainer:
+    """A trainer of the tube on two motions and on scans, 300 points each."""
+    base = small_trainer(folder, steps=steps, seed=seed)
+    points = [scan(index, 300) for index in range(scans)]
+    given = Scans.of(points, "lower", (), base.objective, base.network.driving, 1000.0, physics)
+    return Trainer(folder, base.network, base.objective, base.track.motions, None, base.schedule, seed, base.say, given)
