@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from caphy.commands.fit_pictures import all_pictures
-from caphy.commands.fit_scans import CHECKED, LABELLED, left_out, read
+from caphy.commands.fit_scans import CHECKED, left_out, read
 
 PAGE = "report.html"
 CENTIMETRES = ("sleeve", "length", "leg", "rise", "ease", "sleeve_ease", "neck_width", "neck_depth")
@@ -136,21 +136,28 @@ def _evaluation_tables(evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _parameter_tables(run: Path) -> list[dict[str, Any]]:
-    """The physics that each garment was trained with, one number a line; tables of measured fabrics by their mean."""
+    """What each garment's cloth is made of in the networks that the avatar has; what acts on any cloth is left out."""
+    from caphy.commands.fit_stages import final
+    from caphy.effects.model import Model
+    from caphy.effects.presets import WORN
+    from caphy.effects.registry import find_effect
+
     rows: list[Sequence[str]] = []
-    for kind in read(run, LABELLED)["kinds"]:
-        model = read(run / "train" / kind, "model.json")
-        rows.append([f"{kind}: density", f"{1e3 * model.get('density', 0):.0f} g/m2"])
-        for effect, values in model.get("effects", {}).items():
-            rows += [[f"{kind}: {effect.replace('_', ' ')}, {name}", _number(value)] for name, value in values.items()]
-    return [{"heading": "Physics", "note": "trained with", "heads": ["parameter", "value"], "rows": rows}]
+    for folder in final(run):
+        model = Model.load(folder / "model.json")
+        rows.append([f"{folder.name}: density", f"{model.density:.3g}", "kg/m2"])
+        for effect in [name for name in model.effects if name not in WORN]:
+            units = {name: parameter.unit for name, parameter in find_effect(effect).parameters.items()}
+            for name, value in model.effects[effect].items():
+                rows.append([f"{folder.name}: {effect.replace('_', ' ')}, {name}", _number(value), units[name]])
+    return [{"heading": "Cloth", "note": "as trained with", "heads": ["parameter", "value", "unit"], "rows": rows}]
 
 
 def _number(value: Any) -> str:
-    if isinstance(value, int | float):
-        return f"{value:.4g}"
-    flat = [number for row in value for number in (row if isinstance(row, list) else [row])]
-    return f"table of {len(flat)}, {min(flat):.3g} to {max(flat):.3g}"
+    import numpy as np
+
+    flat = np.ravel(value)
+    return f"{flat[0]:.4g}" if len(flat) == 1 else f"{len(flat)} numbers, {flat.min():.3g} to {flat.max():.3g}"
 
 
 def _stage_seconds(run: Path) -> dict[str, float]:

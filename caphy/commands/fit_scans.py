@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +33,11 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
 
     scans = ScanSet.read(folder)
     findings = check_set(scans, _every_tenth("read"))
-    for finding in findings:
-        print(f"{'left out' if finding.severe else 'note'}: {finding.scan}: {finding.message}", flush=True)
+    refused, notes = _reasons(findings, True), _reasons(findings, False)
+    notes = {scan: why for scan, why in notes.items() if scan not in refused}
+    for what, reasons in (("left out", refused), ("note", notes)):
+        for scan, why in reasons.items():
+            print(f"{what}: {scans.files[scans.names.index(scan)].name}: {why}", flush=True)
     kept = usable(scans, findings)
     parser = parser or ("labels" if all(scans[i].labels is not None for i in kept) else "colour")
     _write_kept(scans, kept, run / SCANS, parser == "labels")
@@ -43,8 +46,8 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
         "scans": len(scans),
         "kept": [scans.names[i] for i in kept],
         "parser": parser,
-        "left_out": _reasons(findings, True),
-        "notes": _reasons(findings, False),
+        "left_out": refused,
+        "notes": notes,
     }
     write_text(run / CHECKED, json.dumps(document, indent=1))
     print(f"{len(kept)} of {len(scans)} scans can be used")
@@ -125,7 +128,7 @@ def _write_kept(scans: ScanSet, kept: Sequence[int], folder: Path, with_labels: 
     write_scan_set(folder, chosen, scans.name, poses)
 
 
-def _reasons(findings: Sequence[Finding], severe: bool) -> Mapping[str, str]:
+def _reasons(findings: Sequence[Finding], severe: bool) -> dict[str, str]:
     reasons: dict[str, str] = {}
     for finding in findings:
         if finding.severe == severe:

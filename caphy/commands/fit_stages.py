@@ -54,12 +54,12 @@ def stages(plan: Plan, count: int) -> list[Stage]:
     return [
         Stage(
             "check", "checking the scans", lambda: check_scans(plan.scans, run, plan.parser),
-            inputs=(plan.scans,), outputs=sources, options={"parser": plan.parser}, seconds=2 + 0.6 * count,
+            inputs=(plan.scans,), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.3 * count,
         ),
         Stage(
             "segment", "telling skin, upper and lower garment apart", lambda: segment_scans(run, plan.layout),
             inputs=(*sources, *_files(plan.parser, plan.layout)), outputs=labelled[1:],
-            options={"layout": plan.layout, "parser": plan.parser}, seconds=8 + 2.5 * count,
+            options={"layout": plan.layout, "parser": plan.parser}, seconds=5 + 2.5 * count,
         ),
         Stage(
             "body", "finding the body under the clothes", lambda: _body(plan),
@@ -69,13 +69,13 @@ def stages(plan: Plan, count: int) -> list[Stage]:
         Stage(
             "garments", "choosing the garments' templates", lambda: _garments(plan),
             inputs=(*labelled, run / "body.npz"), outputs=(run / "garments.json",),
-            options={"body": plan.body}, seconds=60,
+            options={"body": plan.body}, seconds=80,
         ),
         Stage(
             "points", "splitting the scans", lambda: _points(plan),
             inputs=(*labelled, run / "body.npz"),
             outputs=(run / "points", run / "split.json", run / "subject_body.npz"),
-            options={"hold_out": plan.hold_out, "seed": plan.seed, "body": plan.body}, seconds=4 + 0.3 * count,
+            options={"hold_out": plan.hold_out, "seed": plan.seed, "body": plan.body}, seconds=1 + 0.2 * count,
         ),
         Stage(
             "train", "training on physics and scans", lambda: _train(plan),
@@ -86,7 +86,8 @@ def stages(plan: Plan, count: int) -> list[Stage]:
         Stage(
             "collide", "fine-tuning against collisions of garments", lambda: _collide(plan),
             inputs=(run / "train", *subject), outputs=(run / "collided",),
-            options={"epochs": plan.collision_epochs, "seed": plan.seed}, seconds=0.8 * 50 * plan.collision_epochs,
+            options={"epochs": plan.collision_epochs, "seed": plan.seed},
+            seconds=2.4 * max(0.3 * count, 25) * plan.collision_epochs,
             may_fail=True,
         ),
         Stage(
