@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
+import torch
 from explicit_cloth import measured, simulate
 
 from caphy.diagnose.probes import Probes
@@ -47,3 +50,13 @@ def test_what_goes_wrong_in_a_process_is_said_here(scene):
         study = Study([scene], crew=crew)
         with pytest.raises(CaphyError, match="no effect"):
             study.respond(Model(0.2, {"nonsense": {}}), addition("mass_damping"))
+
+
+def test_each_process_keeps_to_one_thread(monkeypatch):
+    """Threads of several processes that wait for each other take four times as long."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    with Crew(size=1) as crew:
+        (only,) = crew._each
+        assert only.submit(torch.get_num_threads).result() == 1
+        assert only.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "3"

@@ -1,0 +1,69 @@
+"""The rules by which explanations are let in, on made-up scores."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from caphy.diagnose.groups import Group
+from caphy.diagnose.screen import Score
+from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, finalists
+from caphy.effects.model import Model
+from caphy.refit.columns import Column, addition, extended, moved
+from caphy.refit.evidence import Evidence
+from caphy.refit.study import Fit
+
+DRAG, PRESSURE = Group("mass_damping", addition("mass_damping")), Group("pressure", addition("pressure"))
+STIFFNESS = Group("strain_stvk", (Column("strain_stvk", "lame_mu", None),), own=True)
+
+
+def screen(*scores: Score):
+    """Scores as a screen has them, all of at least 10 % beyond chance."""
+    best = sorted(scores, key=lambda score: -score.gain)
+    return SimpleNamespace(scores=best, enough=lambda score: score.gain >= 0.1)
+
+
+def score(group: Group, gain: float, wald: float = 100.0) -> Score:
+    return Score(group, gain, wald, np.ones(1))
+
+
+def labels(found) -> list[str]:
+    return [each.group.label for each in found]
+
+
+def test_parameters_that_base_measurements_told_must_explain_half_as_much_again():
+    close, far = score(STIFFNESS, 0.2 * OWN - 0.01), score(STIFFNESS, 0.2 * OWN + 0.01)
+    assert labels(finalists(screen(close, score(DRAG, 0.2)), True)) == ["mass_damping"]
+    assert labels(finalists(screen(far, score(DRAG, 0.2)), True)) == ["parameters of strain_stvk", "mass_damping"]
+    assert labels(finalists(screen(close, score(DRAG, 0.2)), False))[0] == "parameters of strain_stvk"
+
+
+def test_they_explain_nothing_of_what_an_effect_leaves_over():
+    last = screen(score(STIFFNESS, 0.9), score(DRAG, 0.2))
+    assert labels(finalists(last, True, first=False)) == ["mass_damping"]
+    assert not finalists(screen(score(STIFFNESS, 0.9)), True, first=False)
+
+
+def test_an_estimate_within_its_error_is_no_explanation():
+    assert LEAST_WALD > LEAST_WALD_OVER_BASE
+    between = 0.5 * (LEAST_WALD + LEAST_WALD_OVER_BASE)
+    assert not finalists(screen(score(DRAG, 0.2, between)))
+    assert labels(finalists(screen(score(DRAG, 0.2, between)), True)) == ["mass_damping"]
+    assert not finalists(screen(score(DRAG, 0.2, LEAST_WALD_OVER_BASE - 1)), True)
+
+
+def test_what_explains_far_less_than_the_best_is_not_refitted():
+    assert labels(finalists(screen(score(DRAG, 0.9), score(PRESSURE, 0.2)))) == ["mass_damping"]
+    assert labels(finalists(screen(score(DRAG, 0.3), score(PRESSURE, 0.2)))) == ["mass_damping", "pressure"]
+
+
+@pytest.mark.parametrize(("so_far", "wanted"), [(0.0, 2.0), (4.0, 1.0), (9.0, 0.0)])
+def test_parameters_grow_threefold_at_a_time_and_tenfold_in_all(so_far, wanted):
+    model = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+    columns = STIFFNESS.columns
+    there = moved(extended(model, columns), columns, np.array([so_far]))
+    known = Evidence(np.ones((5, 1, 1)), np.full((5, 1), 1e3), np.full(5, 1e7), np.ones(5), np.full(5, 100))
+    fit = Fit(model, there, columns, known, [], known, 1.0, np.ones(5))
+    assert fit.step == pytest.approx([wanted])
