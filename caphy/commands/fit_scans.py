@@ -66,7 +66,8 @@ def segment_scans(run: Path, layout: str) -> None:
 
     labels = run / LABELS
     segment.main([str(run / SCANS), "-o", str(labels), "--parser", read(run, CHECKED)["parser"], "--layout", layout])
-    left_out, shown = {}, dict.fromkeys(KINDS, 0)
+    left_out: dict[str, str] = {}
+    shown: dict[str, int] = dict.fromkeys(KINDS, 0)
     scans = ScanSet.read(run / SCANS, labels)
     for scan in scans:
         if scan.labels is None:

@@ -40,8 +40,8 @@ class Flip:
             import flip_evaluator
         except ModuleNotFoundError:
             raise CaphyError("FLIP needs its authors' package; install it with: pip install flip-evaluator") from None
-        pictures = (np.ascontiguousarray(image, dtype=np.float32) / 255 for image in (reference, test))
-        return flip_evaluator.evaluate(*pictures, "LDR", applyMagma=False, computeMeanError=False)[0][..., 0]
+        one, other = (np.ascontiguousarray(image, dtype=np.float32) / 255 for image in (reference, test))
+        return flip_evaluator.evaluate(one, other, "LDR", applyMagma=False, computeMeanError=False)[0][..., 0]
 
 
 class Vgg16(nn.Module):

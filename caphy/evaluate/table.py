@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 FIGURES = (
@@ -16,7 +16,7 @@ FIGURES = (
 """Key, heading and decimals of each column."""
 
 
-def table_lines(document: dict[str, Any]) -> list[str]:
+def table_lines(document: Mapping[str, Any]) -> list[str]:
     """The evaluation of :meth:`caphy.evaluate.evaluation.Evaluation.document`, for a terminal."""
     rows = document["rows"]
     heads, cells = figure_rows(document)
@@ -38,14 +38,14 @@ def table_lines(document: dict[str, Any]) -> list[str]:
     return [*lines, "", f"CaPhy's paper, two subjects of its own, for orientation [mm]: {paper}"]
 
 
-def figure_rows(document: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+def figure_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Headings and cells of the table: a line for each row, a column for each figure that any row has."""
     done = [row for row in document["rows"] if row["all"]]
     shown = [column for column in FIGURES if any(column[0] in row["all"] for row in done)]
     return ["", "seeds", *(heading for _, heading, _ in shown)], [_cells(row, shown) for row in document["rows"]]
 
 
-def class_rows(document: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+def class_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Headings and cells of the Chamfer distances [mm] by motion class, of the rows that were evaluated."""
     heads, names = [""], sorted({scan["class"] for scan in document["scans"].values()})
     for name in names:
@@ -59,7 +59,7 @@ def class_rows(document: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     ]
 
 
-def cell(figure: dict[str, float] | None, seeds: int, decimals: int) -> str:
+def cell(figure: Mapping[str, float] | None, seeds: int, decimals: int) -> str:
     """A figure with its spread between seeds where there are several."""
     if figure is None:
         return "–"
@@ -67,11 +67,11 @@ def cell(figure: dict[str, float] | None, seeds: int, decimals: int) -> str:
     return text if seeds < 2 else f"{text} ± {figure['spread']:.{decimals}f}"
 
 
-def _lacks_a_seed(row: dict[str, Any], document: dict[str, Any]) -> bool:
+def _lacks_a_seed(row: Mapping[str, Any], document: Mapping[str, Any]) -> bool:
     return row["missing"] is None and row["name"] in document["left_out"]
 
 
-def _cells(row: dict[str, Any], shown: Sequence[tuple[str, str, int]]) -> list[str]:
+def _cells(row: Mapping[str, Any], shown: Sequence[tuple[str, str, int]]) -> list[str]:
     return [
         row["name"],
         str(row["seeds"]) if row["name"] != "skinned template" else "",
