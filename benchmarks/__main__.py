@@ -9,7 +9,7 @@ import sys
 
 import benchmarks
 
-ASIDE = ("diagnosis", "monocular", "newton", "papertable", "register", "segmentation")
+ASIDE = ("diagnosis", "monocular", "newton", "papertable", "register", "screening", "segmentation")
 """These take long or need arguments; run only by name, by themselves or by a target of their own."""
 
 

@@ -1,0 +1,66 @@
+"""What it costs to screen a measurement against the whole library, on one core.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.screening
+
+Two motions of the challenge's square of 48 frames each, in which nothing is hidden, seen on meshes of 289 and 1,225
+vertices: all windows rolled out, tangents of every number of every effect, flexible forces, scores and the null.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from caphy.challenge.hidden import Hidden
+from caphy.challenge.recording import record, seen_by_user
+from caphy.challenge.sheets import corners, users_square
+from caphy.challenge.square import square
+from caphy.diagnose.search import screen
+from caphy.measure.scene import Scene
+from caphy.refit.study import Study
+
+FRAMES = 48
+SIDES = (17, 35)
+"""Vertices along a side of the user's mesh."""
+CACHE = Path("challenge-cache")
+
+
+def main() -> None:
+    """Print seconds of processor time."""
+    torch.set_num_threads(1)
+    stage = square(1, FRAMES)
+    plays = [play for play in stage.plays if play.part == "train"][:2]
+    films = [record(stage, play, Hidden("nothing"), 1, FRAMES, CACHE) for play in plays]
+    for side in SIDES:
+        garment = users_square(side)
+        seen = replace(stage, user=garment)
+        measured = [
+            seen_by_user(
+                seen,
+                replace(play, keys={**play.keys, "pinned": corners(garment)}),
+                film,
+                1.0,
+                None,
+                np.random.default_rng(play.number),
+            )
+            for play, film in zip(plays, films, strict=True)
+        ]
+        study = Study([Scene.of(measurement) for measurement in measured])
+        began = time.process_time()
+        found = screen(study, stage.model, stage.model, False)
+        seconds = time.process_time() - began
+        columns = sum(len(group.columns) for group in found.groups)
+        print(
+            f"{len(garment.vertices):,} vertices, {len(plays) * FRAMES} frames in {len(found.responses)} windows: "
+            f"{seconds:.0f} s of one core for {len(found.groups)} explanations with {columns} numbers, and "
+            f"{found.evidence_of_probes.b.shape[1]} flexible forces",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
