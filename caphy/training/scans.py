@@ -29,8 +29,8 @@ from caphy.training.streams import HELD_WINDOWS, WINDOW, Windows
 
 LAMBDA_3D = 1000.0
 """Weight of the squared distances [J/m^2]; see docs/supervised.md for how it was chosen."""
-SAMPLE = 6000
-"""Points of a scan's garment that are held against the cloth: spread evenly, 13 mm apart on a shirt."""
+SAMPLE = 2500
+"""Points of a scan's garment that are held against the cloth: spread evenly, 2 cm apart on a shirt."""
 FARTHEST = 0.10
 """A point farther than this from the cloth [m] has no counterpart (a wrong label): it does not pull."""
 UNSEEN = 0.03
