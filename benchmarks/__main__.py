@@ -9,7 +9,17 @@ import sys
 
 import benchmarks
 
-ASIDE = ("diagnosis", "monocular", "newton", "papertable", "register", "screening", "segmentation")
+ASIDE = (
+    "collision",
+    "diagnosis",
+    "monocular",
+    "newton",
+    "papertable",
+    "register",
+    "screening",
+    "segmentation",
+    "supervised",
+)
 """These take long or need arguments; run only by name, by themselves or by a target of their own."""
 
 
