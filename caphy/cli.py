@@ -20,6 +20,7 @@ COMMANDS = {
     "scans": "check, picture and convert sets of scans",
     "segment": "tell skin, upper and lower garment apart on scans",
     "train": "train a garment network with physics losses",
+    "fabric": "fit the stiffness of the clothes to the scans they were worn in",
     "collide": "fine-tune garments worn together until they stop passing through each other",
     "validate": "hold a trained network against the reference solver",
     "compare": "compare a model with measurements: metrics, and a page to look at",

@@ -1,0 +1,227 @@
+"""``caphy fabric RUN``: the stiffness of the clothes from the scans they were worn in."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.effects.model import Model
+    from caphy.evaluate.dressed import Subject
+    from caphy.fabric.rounds import Fitted, Guess, Objective
+    from caphy.fabric.stills import Worn
+
+RESULT, PAGE = "fabric.json", "fabric.html"
+TRAINED, ALTERNATED = "train", "fabric"
+KINDS = ("upper", "lower")
+POINTS = 8000
+"""Points of a scan that are used at most, drawn at random."""
+
+
+@dataclass(frozen=True)
+class FabricCommand:
+    """Fit stretching and bending tables of the garments in RUN to the scans that their networks are trained on."""
+
+    run: tyro.conf.Positional[Path]
+    """A run's folder, with what 'caphy register body', 'garments' and 'points' wrote."""
+    fabric: str = "gray-interlock"
+    """The measured fabric to start from."""
+    model: Path | None = None
+    """A physics model's JSON to start from instead."""
+    upper_density: float | None = None
+    """Weight of the upper garment's cloth [kg/m^2]; the starting fabric's unless given. Weigh it: scans cannot tell."""
+    lower_density: float | None = None
+    """The same of the lower garment's."""
+    garments: tuple[str, ...] = KINDS
+    """Which to fit; those that are not worn are passed over."""
+    objective: str = "response"
+    """"response", or "force" for CaPhy's squared gradient, which noise biases (docs/fabric.md)."""
+    rounds: int = 8
+    """Rounds at most."""
+    scans: int = 60
+    """Scans used at most, spread over those there are."""
+    alternations: int = 0
+    """Times that RUN/train/GARMENT is trained on under the fabric found, into RUN/fabric, before fitting again."""
+    steps: int = 500
+    """Training steps of each."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run ``caphy fabric`` with the arguments after it; 1 where a garment was left out."""
+    options = tyro.cli(FabricCommand, args=arguments, prog="caphy fabric")
+    _check(options)
+    from caphy.evaluate.dressed import Subject
+    from caphy.register.points import read_points
+    from caphy.register.result import write_text
+
+    subject = Subject.read(options.run)
+    points = read_points(options.run, "train")
+    document: dict[str, Any] = {"format": "caphy-fabric-1", "garments": {}, "failed": {}}
+    plots, sentences = {}, {}
+    for kind in options.garments:
+        if kind not in subject.garments:
+            continue
+        try:
+            found, model, start = _fit(options, subject, points, kind)
+        except CaphyError as error:
+            print(f"without {kind}: {error}")
+            document["failed"][kind] = str(error)
+            continue
+        path = options.run / f"fabric_{kind}.json"
+        write_text(path, model.to_json() + "\n")
+        document["garments"][kind] = {**found, "model_file": path.name}
+        plots[kind], sentences[kind] = _figures(start, model), _told(kind, found)
+        print("\n".join(sentences[kind]))
+    if not document["garments"]:
+        raise CaphyError(f"{options.run}: no garment's fabric could be fitted")
+    if len(document["garments"]) == 1:  # then the file is a physics model as well
+        (only,) = document["garments"].values()
+        document |= only["model"]
+    write_text(options.run / RESULT, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    _write_page(options.run / PAGE, plots, sentences)
+    print(f"written: {options.run / RESULT}, {options.run / PAGE}")
+    for kind in document["garments"]:
+        print(
+            f"next: caphy train {options.run / kind}.npz --scans {options.run} "
+            f"--model {options.run / f'fabric_{kind}.json'} -o {options.run / ALTERNATED / kind}"
+        )
+    return 1 if document["failed"] else 0
+
+
+def _check(options: FabricCommand) -> None:
+    from caphy.material.fabrics import fabric
+
+    if options.objective not in ("response", "force"):
+        raise CaphyError(f"--objective must be response or force, got {options.objective!r}")
+    for name, least in (("rounds", 1), ("scans", 3), ("steps", 1), ("alternations", 0)):
+        if getattr(options, name) < least:
+            raise CaphyError(f"--{name} must be at least {least}, got {getattr(options, name)}")
+    for name in ("upper_density", "lower_density"):
+        value = getattr(options, name)
+        if value is not None and not 0.01 <= value <= 5:
+            raise CaphyError(f"--{name.replace('_', '-')} must lie in [0.01, 5] kg/m^2, got {value:g}")
+    wrong = [kind for kind in options.garments if kind not in KINDS]
+    if wrong:
+        raise CaphyError(f"--garments must be among upper and lower, got {wrong[0]!r}")
+    if options.model is None:
+        fabric(options.fabric)
+
+
+def _start(options: FabricCommand, kind: str) -> Model:
+    from caphy.effects.model import Model
+    from caphy.effects.presets import fabric_model
+
+    model = fabric_model(options.fabric) if options.model is None else Model.load(options.model)
+    density = options.upper_density if kind == "upper" else options.lower_density
+    if density is None:
+        print(f"note: {kind}: the cloth is taken to weigh {model.density:g} kg/m^2; all stiffnesses go with that")
+        return model
+    return replace(model, density=density)
+
+
+def _fit(options: FabricCommand, subject: Subject, points: Any, kind: str) -> tuple[dict[str, Any], Model, Model]:
+    from caphy.fabric.certainty import Certainty
+    from caphy.fabric.record import record, settled_model
+    from caphy.fabric.rounds import fit_fabric
+
+    start, worn = _start(options, kind), _worn(options, subject, points, kind)
+    objective: Objective = "force" if options.objective == "force" else "response"
+
+    def say(number: int, done: int, total: int) -> None:
+        if done % 10 == 0 or done == total:
+            print(f"{kind}: round {number + 1} of at most {options.rounds}, scan {done} of {total}", flush=True)
+
+    guess = _network(options.run / TRAINED, subject, kind)
+    fitted = fit_fabric(worn, start, options.rounds, objective, guess, say)
+    for number in range(options.alternations):
+        model = settled_model(fitted, Certainty.of(fitted), "fabric fitted to scans")
+        guess = _trained_on(options, subject, kind, model, number)
+        fitted = _again(fitted, fit_fabric(worn, model, options.rounds, objective, guess, say))
+    sure = Certainty.of(fitted)
+    model = settled_model(fitted, sure, "fabric fitted to scans at rest", tuple(one.still.name for one in worn))
+    return record(fitted, sure, model, objective), model, start
+
+
+def _again(before: Fitted, after: Fitted) -> Fitted:
+    """The later fit with the rounds of both, told over the first start."""
+    from caphy.fabric.coefficients import Coefficients
+
+    numbers = Coefficients.of(before.numbers.start)
+    return replace(after, numbers=numbers, rounds=(*before.rounds, *after.rounds))
+
+
+def _worn(options: FabricCommand, subject: Subject, points: Any, kind: str) -> list[Worn]:
+    import numpy as np
+
+    from caphy.fabric.stills import Still, Worn
+
+    random = np.random.default_rng(0)
+    chosen = [
+        points[i]
+        for i in np.unique(np.linspace(0, len(points) - 1, min(options.scans, len(points))).round().astype(int))
+    ]
+    worn = []
+    for scan in chosen:
+        shown = getattr(scan, kind).astype(float)
+        if len(shown) < LEAST_POINTS:
+            print(f"left out: {scan.name}: shows only {len(shown)} points of the {kind} garment")
+            continue
+        kept = shown[np.sort(random.permutation(len(shown))[:POINTS])]
+        worn.append(Worn(Still(scan.name, kept, scan.pose, scan.transl), subject.body, subject.garments[kind]))
+    return worn
+
+
+LEAST_POINTS = 200
+"""Points that must show a garment for its scan to be used."""
+
+
+def _network(folder: Path, subject: Subject, kind: str) -> Guess | None:
+    """The network's held drape as a first guess, where there is a network."""
+    if not (folder / kind / "network.safetensors").is_file():
+        return None
+    wearing = replace(subject, garments={kind: subject.garments[kind]}).wearing(folder)
+    return lambda worn: wearing.held(worn.still.pose, worn.still.transl).garments[kind][0]
+
+
+def _trained_on(options: FabricCommand, subject: Subject, kind: str, model: Model, number: int) -> Guess | None:
+    from caphy.commands.train import reopen
+    from caphy.training.onward import onward
+
+    source = options.run / (TRAINED if number == 0 else ALTERNATED) / kind
+    after = onward(reopen(source), model, options.steps, options.run / ALTERNATED / kind, seed=number + 1)
+    after.run()
+    return _network(options.run / ALTERNATED, subject, kind)
+
+
+def _figures(start: Model, model: Model) -> list[str]:
+    from caphy.fabric.curves import figures
+
+    return figures({"start": start, "found": model})
+
+
+def _told(kind: str, found: dict[str, Any]) -> list[str]:
+    lines = [
+        f"{kind}: {found['scans']} scans, {len(found['rounds'])} rounds" + ("" if found["settled"] else ", not settled")
+    ]
+    for name, row in found["stiffness"].items():
+        if row["interval"] is None:
+            lines.append(f"  {name}: not determined by these scans; the start's table is kept")
+        else:
+            low, high = row["interval"]
+            lines.append(f"  {name}: {row['over_the_start']:.2f} times the start's (95 %: {low:.2f} to {high:.2f})")
+    known = sum(row["found"] != "not determined" for row in found["numbers"])
+    lines.append(f"  {known} of {len(found['numbers'])} numbers of the tables are determined one by one")
+    return lines
+
+
+def _write_page(path: Path, plots: dict[str, list[str]], sentences: dict[str, list[str]]) -> None:
+    from caphy.fabric.curves import page
+    from caphy.register.result import write_text
+
+    write_text(path, page(plots, sentences))

@@ -1,0 +1,88 @@
+"""How sure the fitted numbers are: scans drawn again, and what the scans say beyond what was assumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from caphy.fabric.bounded import NUISANCE, PATTERN, Pooled, prior_precision, solve
+from caphy.fabric.evidence import CONTACT
+from caphy.fabric.rounds import Fitted, ratios
+
+REPLICAS = 200
+LEVEL = 0.95
+"""Of the intervals."""
+TOLD = 0.5
+"""Share of the assumed variance of a number that the scans must take away for it to count as determined."""
+WIDEST = 2.0
+"""Upper over lower end of a table's interval from which on its stiffness counts as not determined."""
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """What is known of a fitted fabric.
+
+    Attributes:
+        low, high: of each table's stiffness over the start's, effect -> end of the :data:`LEVEL` interval.
+        determined: tables whose interval is narrow enough, effect -> whether.
+        entries: whether the scans determine each number beyond its table's scale (K,).
+    """
+
+    low: dict[str, float]
+    high: dict[str, float]
+    determined: dict[str, bool]
+    entries: np.ndarray
+
+    @classmethod
+    def of(cls, fitted: Fitted, seed: int = 0) -> Certainty:
+        """By bootstrap over the scans of the last round (Efron 1979), widened by Student's t for the few there are.
+
+        Where a number lies at its bound, or a round is not long enough, an interval is too narrow; the rounds that led
+        here are not drawn again.
+        """
+        random = np.random.default_rng(seed)
+        numbers, last = fitted.numbers, fitted.rounds[-1]
+        said, many = last.said, len(last.said)
+        noise = Pooled.of(said)
+        logs = []
+        for _ in range(REPLICAS):
+            drawn = Pooled.of(said, np.bincount(random.integers(many, size=many), minlength=many).astype(float))
+            values = solve(Pooled(drawn.a, drawn.b, noise.noise), numbers, last.values)
+            found = ratios(numbers, fitted.energy, values, numbers.values)
+            logs.append([np.log(max(found[name], 1e-12)) for name in numbers.names])
+        spread = (
+            np.std(logs, axis=0) * np.sqrt(many / max(many - 1, 1)) * student.ppf(0.5 + LEVEL / 2, max(many - 1, 1))
+        )
+        middle = [np.log(max(fitted.stiffness[name], 1e-12)) for name in numbers.names]
+        low = {name: float(np.exp(m - s)) for name, m, s in zip(numbers.names, middle, spread, strict=True)}
+        high = {name: float(np.exp(m + s)) for name, m, s in zip(numbers.names, middle, spread, strict=True)}
+        determined = {name: high[name] / low[name] < WIDEST and _moves(fitted, name) for name in numbers.names}
+        return cls(low, high, determined, _entries(fitted, noise, determined))
+
+
+def _moves(fitted: Fitted, name: str) -> bool:
+    """Whether the scans say anything of a table at all: more than its loose prior does."""
+    numbers = fitted.numbers
+    mine = numbers.group == numbers.names.index(name)
+    pooled = Pooled.of(fitted.rounds[-1].said)
+    direction = np.where(mine, fitted.values, 0.0)
+    count = len(direction)
+    information = float(direction @ pooled.a[:count, :count] @ direction) / pooled.noise
+    return information > 1.0
+
+
+def _entries(fitted: Fitted, pooled: Pooled, determined: dict[str, bool]) -> np.ndarray:
+    """Which numbers (K,) the scans determine: the variance given them against that assumed, a table's scale aside."""
+    numbers, count = fitted.numbers, len(fitted.values)
+    prior = prior_precision(numbers, fitted.values)
+    information = np.zeros((count + len(CONTACT),) * 2)
+    information += pooled.a / pooled.noise
+    information[:count, :count] += prior
+    information[count:, count:] += np.eye(len(CONTACT)) / NUISANCE**2
+    after = np.diag(np.linalg.inv(information))[:count]
+    grown = np.array([fitted.stiffness[numbers.names[group]] for group in numbers.group])
+    assumed = (PATTERN * grown * numbers.scale) ** 2
+    known = np.array([determined[numbers.names[group]] for group in numbers.group])
+    return known & (after < TOLD * assumed)
