@@ -6,13 +6,18 @@
  *   stream.onwelcome = (welcome) => ...;   // { fps, garments: [{ name, count, stateSize }], maxFrames, maxCredits }
  *   stream.onmeshes = (answer) => ...;     // { number, tick, frames, skipped, time, garments: { tshirt: { vertices } } }
  *   stream.send(poses, transl);            // Float32Array of 165 and of 3 for every frame
+ *
+ * With { conditioning: {} }, or settings in it, the service makes noisy poses calm first (docs/conditioning.md):
+ *
+ *   stream.send(poses, transl, times, confidence);  // seconds, one for every frame; 0 to 1, 55 for every frame
+ *   stream.onmeshes = ({ did, shown }) => ...;       // what was done to each frame; the first one's moment [s]
  */
 
 export const VERSION = 1;
 export const JOINTS = 55;
 export const HEADER_BYTES = 24;
 export const Kind = Object.freeze({
-  HELLO: 1, POSES: 2, CREDIT: 3, RESET: 4, RATE: 5, GET_STATE: 6, WELCOME: 129, MESHES: 130, STATE: 131, ERROR: 132,
+  HELLO: 1, POSES: 2, CREDIT: 3, RESET: 4, RATE: 5, GET_STATE: 6, SEEN: 7, WELCOME: 129, MESHES: 130, STATE: 131, ERROR: 132,
 });
 export const Encoding = Object.freeze({ float32: 0, float16: 1, uint16: 2, weights: 3 });
 const MAGIC = 0x53485043; // "CPHS" read as a little-endian number
@@ -41,9 +46,11 @@ function putFloats(view, offset, floats) {
   for (let i = 0; i < floats.length; i++) view.setFloat32(offset + 4 * i, floats[i], true);
 }
 
-export function encodeHello({ garments = [], fps = 30, encoding = "float32", normals = false, credits = 2, state = [] } = {}) {
+export function encodeHello({ garments = [], fps = 30, encoding = "float32", normals = false, credits = 2, state = [], conditioning } = {}) {
   if (!(encoding in Encoding)) throw new RangeError(`encoding must be one of ${Object.keys(Encoding).join(", ")}, got ${encoding}`);
-  const view = start(Kind.HELLO, 8 + NAME_BYTES * garments.length + 4 * state.length, { count: garments.length, extra: state.length });
+  const text = new TextEncoder().encode(conditioning ? JSON.stringify(conditioning) : "");
+  const counts = { count: garments.length, number: text.length, extra: state.length };
+  const view = start(Kind.HELLO, 8 + NAME_BYTES * garments.length + 4 * state.length + text.length, counts);
   view.setFloat32(24, fps, true);
   view.setUint16(28, credits, true);
   view.setUint8(30, Encoding[encoding]);
@@ -53,6 +60,7 @@ export function encodeHello({ garments = [], fps = 30, encoding = "float32", nor
     for (let j = 0; j < name.length; j++) view.setUint8(32 + NAME_BYTES * i + j, name.charCodeAt(j));
   });
   putFloats(view, 32 + NAME_BYTES * garments.length, state);
+  new Uint8Array(view.buffer).set(text, view.byteLength - text.length);
   return view.buffer;
 }
 
@@ -65,6 +73,22 @@ export function encodePoses(number, time, poses, transl) {
   const view = start(Kind.POSES, 4 * FRAME_FLOATS * frames, { count: frames, number, time });
   putFloats(view, HEADER_BYTES, poses);
   putFloats(view, HEADER_BYTES + 4 * poses.length, transl);
+  return view.buffer;
+}
+
+/** Poses for a conditioned stream: T times [s], and 55 T confidences; 0 throughout where nobody was seen. */
+export function encodeSeen(number, time, poses, transl, times, confidence) {
+  const frames = times.length;
+  if (poses.length !== 3 * JOINTS * frames || transl.length !== 3 * frames || confidence.length !== JOINTS * frames) {
+    throw new RangeError(`for ${frames} times there must be ${3 * JOINTS * frames} floats of poses, ${3 * frames} of transl and `
+      + `${JOINTS * frames} of confidence, got ${poses.length}, ${transl.length} and ${confidence.length}`);
+  }
+  const view = start(Kind.SEEN, frames * (8 + 4 * (FRAME_FLOATS + JOINTS)), { count: frames, number, time });
+  for (let i = 0; i < frames; i++) view.setFloat64(HEADER_BYTES + 8 * i, times[i], true);
+  const at = HEADER_BYTES + 8 * frames;
+  putFloats(view, at, poses);
+  putFloats(view, at + 4 * poses.length, transl);
+  putFloats(view, at + 4 * (poses.length + transl.length), confidence);
   return view.buffer;
 }
 
@@ -142,9 +166,10 @@ const READERS = {
 
 /** Reads the server's messages; what the client chose and the welcome said tells how meshes are packed. */
 export class ServerDecoder {
-  constructor(encoding = "float32", normals = false) {
+  constructor(encoding = "float32", normals = false, conditioned = false) {
     this.encoding = encoding;
     this.normals = normals;
+    this.conditioned = conditioned;
     this.garments = [];
   }
 
@@ -159,7 +184,7 @@ export class ServerDecoder {
     const number = view.getUint32(8, true);
     const extra = view.getUint32(12, true);
     const time = view.getFloat64(16, true);
-    if (kind === Kind.WELCOME) return this.#welcome(view, count);
+    if (kind === Kind.WELCOME) return this.#welcome(view, count, time);
     if (kind === Kind.MESHES) return this.#meshes(view, { kind, frames: count, number, skipped: extra, time });
     if (kind === Kind.STATE) return { kind, number, time, state: new Float32Array(buffer, HEADER_BYTES, extra) };
     if (kind === Kind.ERROR) {
@@ -168,7 +193,7 @@ export class ServerDecoder {
     throw new RangeError(`a server sends no message of type ${kind}`);
   }
 
-  #welcome(view, count) {
+  #welcome(view, count, latency) {
     this.garments = Array.from({ length: count }, (_, i) => {
       const at = 32 + GARMENT_BYTES * i;
       const name = String.fromCharCode(...new Uint8Array(view.buffer, at, NAME_BYTES)).replace(/\0+$/, "");
@@ -176,12 +201,17 @@ export class ServerDecoder {
     });
     const fps = view.getFloat32(24, true);
     const maxFrames = view.getUint16(28, true);
-    return { kind: Kind.WELCOME, fps, maxFrames, maxCredits: view.getUint16(30, true), garments: this.garments };
+    return { kind: Kind.WELCOME, fps, maxFrames, maxCredits: view.getUint16(30, true), garments: this.garments, latency };
   }
 
   #meshes(view, message) {
     const reader = new Reader(view.buffer, 32);
     const answer = { ...message, tick: view.getUint32(24, true), milliseconds: view.getFloat32(28, true), garments: {} };
+    if (this.conditioned) {
+      answer.shown = view.getFloat64(32, true);
+      reader.offset = 40;
+      answer.did = reader.take(Uint8Array, message.frames);
+    }
     if (this.encoding === "weights") {
       answer.root = reader.take(Float32Array, 3 * message.frames);
       answer.rotations = reader.take(Float32Array, 4 * JOINTS * message.frames);
@@ -231,10 +261,13 @@ export class GarmentStream {
     return this.welcome !== null && this.#socket?.readyState === 1;
   }
 
-  /** Send frames of poses (165 floats each) and transl (3 floats each); returns the last one's number. */
-  send(poses, transl) {
+  /** Send frames of poses (165 floats each) and transl (3 floats each); returns the last one's number. On a conditioned
+   * stream `times` [s] are when they were seen, and `confidence` (55 for each, or none: all sure) how surely. */
+  send(poses, transl, times, confidence) {
     const number = this.#number + 1;
-    const body = encodePoses(number, now(), poses, transl);
+    const body = times
+      ? encodeSeen(number, now(), poses, transl, times, confidence ?? new Float32Array(JOINTS * times.length).fill(1))
+      : encodePoses(number, now(), poses, transl);
     this.#number += transl.length / 3;
     this.#unsaved.push({ first: number, last: this.#number, body });
     if (this.open) this.#socket.send(body);
@@ -275,9 +308,8 @@ export class GarmentStream {
   #connect() {
     this.onstatus("connecting");
     const { key, ...hello } = this.#options;
-    const protocols = key ? ["caphy", `caphy.key.${base64url(key)}`] : [];
-    const socket = new WebSocket(this.#url, protocols);
-    const decoder = new ServerDecoder(hello.encoding, hello.normals);
+    const socket = new WebSocket(this.#url, protocolsOf(key));
+    const decoder = new ServerDecoder(hello.encoding, hello.normals, Boolean(hello.conditioning));
     this.#socket = socket;
     socket.binaryType = "arraybuffer";
     socket.onopen = () => socket.send(encodeHello({ ...hello, state: this.#state }));
@@ -347,6 +379,9 @@ export class GarmentStream {
 
 /** Seconds of a clock that only goes forward. */
 const now = () => performance.now() / 1e3;
+
+/** How a browser, which cannot set headers of a WebSocket, sends an API key. */
+export const protocolsOf = (key) => (key ? ["caphy", `caphy.key.${base64url(key)}`] : []);
 
 function base64url(text) {
   const bytes = String.fromCharCode(...new TextEncoder().encode(text));

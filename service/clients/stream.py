@@ -78,7 +78,7 @@ class StreamClient:
         conditioning: Mapping[str, Any] | None = None,
     ) -> None:
         """``conditioning``: settings as in docs/conditioning.md; {} for its defaults, none for no conditioning."""
-        self._address = _address(url, avatar)
+        self._address = web_socket(url, f"/avatars/{quote(avatar, safe='')}/stream")
         self._headers = {"authorization": f"Bearer {key}"} if key else None
         self._hello = Hello(tuple(garments), fps, Encoding[encoding.upper()], normals, credits)
         if conditioning is not None:
@@ -257,10 +257,10 @@ def _is_denied(error: Exception) -> bool:
     return status in (401, 403, 404)
 
 
-def _address(url: str, avatar: str) -> str:
+def web_socket(url: str, path: str) -> str:
+    """The WebSocket's address of a path below a service's; CaphyError for what is no address."""
     parts = urlsplit(url)
     scheme = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}.get(parts.scheme)
     if scheme is None or not parts.hostname:
         raise CaphyError(f"a service's address is like http://127.0.0.1:8000, got {url!r}")
-    path = f"{parts.path.rstrip('/')}/avatars/{quote(avatar, safe='')}/stream"
-    return urlunsplit((scheme, parts.netloc, path, "", ""))
+    return urlunsplit((scheme, parts.netloc, parts.path.rstrip("/") + path, "", ""))

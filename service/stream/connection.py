@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import deque
+from collections.abc import Awaitable, Callable
 from time import monotonic
 from typing import Final
 
@@ -17,6 +19,7 @@ from service.stream.messages import Failure, Hello, Poses, decode_client, encode
 from service.stream.scheduler import Member, Scheduler
 from service.stream.session import Session
 
+log = logging.getLogger("caphy.service")
 OUTBOX: Final = 64
 """Messages to a client that does not take them before no more are read from it."""
 
@@ -30,6 +33,30 @@ class StreamError(CaphyError):
         self.number = number
 
 
+async def answered(websocket: WebSocket, serve: Callable[[], Awaitable[None]]) -> None:
+    """Accept a WebSocket and serve it; whatever ends that is told to the client."""
+    await websocket.accept()
+    try:
+        await serve()
+    except WebSocketDisconnect:
+        pass
+    except StreamError as error:
+        await _close(websocket, error)
+    except Exception:
+        log.exception("a WebSocket of %s failed", websocket.url.path[:100])
+        await _close(websocket, StreamError(500, "the service failed on this stream; its log says why"))
+
+
+async def _close(websocket: WebSocket, error: StreamError) -> None:
+    """Say why, and close; whoever does not listen any more is left."""
+    try:
+        async with asyncio.timeout(1.0):
+            await websocket.send_bytes(encode_failure(Failure(error.code, str(error), error.number)))
+            await websocket.close(4000 + error.code, str(error)[:120])
+    except Exception:
+        log.debug("a stream's client was gone before it was told %s", error, exc_info=True)
+
+
 class Connection:
     """Both directions of a stream's WebSocket."""
 
@@ -40,7 +67,7 @@ class Connection:
         self._moved = asyncio.Event()
         self._heard = monotonic()
         self._sending: float | None = None
-        self._allowance = _Allowance(limits.max_rate, limits.burst)
+        self._allowance = Allowance(limits.max_rate, limits.burst)
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def post(self, message: bytes) -> None:
@@ -144,7 +171,7 @@ class Connection:
         self._failure.set_exception(error)
 
 
-class _Allowance:
+class Allowance:
     """A bucket of messages and frames that fills at ``rate`` per second up to ``burst``."""
 
     def __init__(self, rate: float, burst: float) -> None:

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from fastapi import FastAPI, WebSocket
-from starlette.websockets import WebSocketDisconnect
 
 from caphy.errors import CaphyError
 from service.avatar_routes import find_avatar
 from service.errors import Problem
 from service.metrics import Metrics, Stages
-from service.stream.connection import Connection, StreamError
+from service.stream.connection import Connection, StreamError, answered
+from service.stream.feeds import add_feeds
 from service.stream.limits import StreamLimits, read_limits
-from service.stream.messages import Failure, Hello, decode_client, encode_failure, encode_welcome
+from service.stream.messages import Hello, decode_client, encode_welcome
 from service.stream.scheduler import Scheduler
 from service.stream.session import Session
-
-log = logging.getLogger("caphy.service")
 
 
 class Streams:
@@ -59,17 +56,13 @@ def add_stream(app: FastAPI, limits: StreamLimits | None = None) -> None:
 
     @app.websocket("/avatars/{avatar}/stream")
     async def stream(websocket: WebSocket, avatar: str) -> None:
-        await websocket.accept()
-        try:
+        async def serve() -> None:
             with streams.place(websocket.client.host if websocket.client else ""):
                 await _serve(websocket, avatar, streams)
-        except WebSocketDisconnect:
-            pass
-        except StreamError as error:
-            await _close(websocket, error)
-        except Exception:
-            log.exception("a stream of avatar %s failed", avatar[:64])
-            await _close(websocket, StreamError(500, "the service failed on this stream; its log says why"))
+
+        await answered(websocket, serve)
+
+    add_feeds(app, streams.limits)
 
 
 async def _serve(websocket: WebSocket, avatar: str, streams: Streams) -> None:
@@ -96,13 +89,3 @@ async def _hello(connection: Connection, limits: StreamLimits) -> Hello:
     if not isinstance(message, Hello):
         raise StreamError(409, "the first message must be hello")
     return message
-
-
-async def _close(websocket: WebSocket, error: StreamError) -> None:
-    """Say why, and close; whoever does not listen any more is left."""
-    try:
-        async with asyncio.timeout(1.0):
-            await websocket.send_bytes(encode_failure(Failure(error.code, str(error), error.number)))
-            await websocket.close(4000 + error.code, str(error)[:120])
-    except Exception:
-        log.debug("a stream's client was gone before it was told %s", error, exc_info=True)

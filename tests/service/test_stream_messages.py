@@ -26,6 +26,7 @@ from service.stream.messages import (
     Poses,
     Rate,
     Reset,
+    Seen,
     ServerDecoder,
     State,
     Welcome,
@@ -51,23 +52,28 @@ def client_message(meant: dict[str, Any]):
     match meant["kind"]:
         case "hello":
             encoding, state = Encoding[meant["encoding"].upper()], np.array(meant["state"], "<f4")
-            return Hello(tuple(meant["garments"]), meant["fps"], encoding, meant["normals"], meant["credits"], state)
-        case "poses":
+            text = json.dumps(meant["conditioning"], separators=(",", ":")) if "conditioning" in meant else ""
+            names, credits = tuple(meant["garments"]), meant["credits"]
+            return Hello(names, meant["fps"], encoding, meant["normals"], credits, state, text)
+        case "poses" | "seen":
             poses, transl = np.array(meant["poses"], "<f4"), np.array(meant["transl"], "<f4")
-            return Poses(meant["number"], meant["time"], poses.reshape(-1, 55, 3), transl.reshape(-1, 3))
+            given = meant["number"], meant["time"], poses.reshape(-1, 55, 3), transl.reshape(-1, 3)
+            if meant["kind"] == "poses":
+                return Poses(*given)
+            return Seen(*given, np.array(meant["times"]), np.array(meant["confidence"], "<f4").reshape(-1, 55))
         case "credit":
             return Credit(meant["count"])
-        case "reset":
-            return Reset()
         case "rate":
             return Rate(meant["fps"])
         case "get_state":
             return GetState(meant["time"])
+    return Reset()
 
 
 def decoder_for(meant: dict[str, Any]) -> ServerDecoder:
     encoding = Encoding[meant.get("encoding", "float32").upper()]
-    return ServerDecoder(encoding, meant.get("normals", False), {"hat": meant.get("count", 2)})
+    counts, conditioned = {"hat": meant.get("count", 2)}, meant.get("conditioned", False)
+    return ServerDecoder(encoding, meant.get("normals", False), counts, conditioned)
 
 
 @pytest.mark.parametrize("name", CLIENT)
@@ -88,10 +94,13 @@ def test_server_messages_are_understood(name):
         case Welcome():
             assert found.garments == tuple(GarmentRecord(**garment) for garment in meant["garments"])
             assert (found.fps, found.max_frames, found.max_credits) == (30, 32, 64)
+            assert found.latency == meant.get("latency", 0)
         case Dressed():
             for key in ("number", "skipped", "time", "tick", "milliseconds"):
                 assert getattr(found, key) == meant[key]
             assert found.meshes.frames == meant["frames"]
+            assert found.shown == meant.get("shown", 0)
+            np.testing.assert_array_equal([] if found.did is None else found.did, meant.get("did", []))
             for kind in ("vertices", "weights"):
                 for garment, values in meant.get(kind, {}).items():
                     np.testing.assert_array_equal(getattr(found.meshes, kind)[garment].ravel(), np.float32(values))
@@ -163,7 +172,8 @@ def test_javascript_understands_the_same(javascript, name):
         np.testing.assert_array_equal(normals, np.c_[np.reshape(values, (-1, 3)), [0, 0]])
     if meant["kind"] == "welcome":
         assert found["garments"] == [{"name": "hat", "count": 2, "stateSize": 3}]
-        assert (found["maxFrames"], found["maxCredits"]) == (32, 64)
+        assert (found["maxFrames"], found["maxCredits"], found["latency"]) == (32, 64, meant.get("latency", 0))
+    assert (found.get("shown", 0), found.get("did", [])) == (meant.get("shown", 0), meant.get("did", []))
     whole = 24 if meant["kind"] == "error" else len(vector(name))
     assert javascript["refused"][name] == whole  # every shorter message
 

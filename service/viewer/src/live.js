@@ -1,19 +1,16 @@
 // Frames one by one, as an application would: each pose goes out when its time comes, the newest one is answered.
 import { GarmentStream } from "../../clients/stream.js";
-import { JOINTS } from "./wire.js";
+import { Figures } from "./figures.js";
 import { apiKey } from "./service.js";
+import { JOINTS } from "./wire.js";
 
-const REMEMBERED = 240; // latencies that the figures shown are taken over
 const CUT = 8; // frames; a longer step is a cut, and the cloth starts anew
 
 export class Live {
   /** heard(frame, vertices by garment) when meshes arrive; lost(), back() and refused(text) tell of the connection. */
   constructor(avatar, clip, { heard, lost, back, refused }) {
     Object.assign(this, { clip, heard });
-    this.latencies = [];
-    this.services = [];
-    this.arrivals = [];
-    this.due = this.seen = 0; // frames of the motion so far, and those of them that came
+    this.figures = new Figures();
     this.frameOf = new Map(); // by the number of their pose
     const url = new URL(`/avatars/${encodeURIComponent(avatar)}/stream`, location.href);
     this.stream = new GarmentStream(url, { fps: clip.fps, encoding: "uint16", key: apiKey.get() ?? undefined });
@@ -44,37 +41,13 @@ export class Live {
     const frame = this.frameOf.get(number);
     for (const sent of this.frameOf.keys()) if (sent <= number) this.frameOf.delete(sent);
     if (frame === undefined || this.closed) return;
-    this.note(frame, milliseconds);
-    this.heard(frame, Object.entries(garments).map(([name, { vertices }]) => [name, vertices.subarray(vertices.length - vertices.length / frames)]));
-  }
-
-  note(frame, milliseconds) {
-    const now = performance.now(), step = frame - (this.before ?? frame - 1);
-    this.due += Math.max(step, 1);
-    this.seen += 1;
+    this.figures.note(frame - (this.before ?? frame - 1), this.stream.latency, milliseconds);
     this.before = frame;
-    this.latencies.push(this.stream.latency);
-    this.services.push(milliseconds);
-    this.arrivals.push(now);
-    if (this.latencies.length > REMEMBERED) { this.latencies.shift(); this.services.shift(); }
-    while (this.arrivals[0] < now - 1000) this.arrivals.shift();
+    this.heard(frame, Object.entries(garments).map(([name, { vertices }]) => [name, vertices.subarray(vertices.length - vertices.length / frames)]));
   }
 
   close() {
     this.closed = true;
     this.stream.close();
   }
-
-  /** Latency, median and 95th percentile, and the service's own part of it [ms]; frames dropped of those due; meshes
-   * that came within the last second. */
-  figures() {
-    const { latencies, services, due, seen, arrivals } = this;
-    const [median, most, service] = [quantile(latencies, 0.5), quantile(latencies, 0.95), quantile(services, 0.5)];
-    return { median, most, service, dropped: due - seen, due, rate: arrivals.length };
-  }
-}
-
-function quantile(values, share) {
-  const sorted = [...values].sort((a, b) => a - b);
-  return sorted[Math.min(Math.floor(share * sorted.length), sorted.length - 1)];
 }

@@ -1,6 +1,7 @@
 // The page: loads an avatar and a motion, plays it from a clip or a live stream, and shows what it is told to.
 import { AvatarModel } from "./avatar.js";
 import { Clip } from "./clip.js";
+import { Feed } from "./feed.js";
 import { listenToKeys } from "./keys.js";
 import { Legend } from "./legend.js";
 import { Live } from "./live.js";
@@ -10,6 +11,7 @@ import { PageState } from "./state.js";
 import { addGarmentButton, listenToDrops, listenToToolbar } from "./toolbar.js";
 
 const find = (id) => document.getElementById(id);
+const asked = new URLSearchParams(location.search); // ?avatar=ID&feed=NAME
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
 
 class Viewer {
@@ -39,6 +41,7 @@ class Viewer {
       if (!avatars.length) throw new Refusal("The service is still loading its avatars.", 503);
       this.choices(avatars);
       await this.dress(find("avatar").value);
+      if (asked.has("feed")) return this.follow(asked.get("feed"));
       await this.run(await this.fetched(() => madeUpMotion(this.avatar.id)));
     } catch (error) {
       this.failed(error, () => this.start());
@@ -47,7 +50,7 @@ class Viewer {
 
   choices(avatars) {
     this.avatars = avatars;
-    const select = find("avatar"), before = select.value;
+    const select = find("avatar"), before = select.value || asked.get("avatar");
     select.replaceChildren(...avatars.map(({ id, name }) => new Option(name === id ? id : `${name} (${id})`, id)));
     if (avatars.some(({ id }) => id === before)) select.value = before;
     find("avatar-choice").hidden = avatars.length < 2;
@@ -70,6 +73,7 @@ class Viewer {
     this.loading?.abort();
     this.play(false);
     this.goLive(false);
+    this.unfollow();
     this.clip = null;
     this.shown = null;
   }
@@ -83,6 +87,7 @@ class Viewer {
   async run(motion) {
     this.loading?.abort();
     const loading = (this.loading = new AbortController());
+    this.unfollow();
     const clip = (this.clip = new Clip(motion));
     this.live?.close();
     this.time = 0;
@@ -219,6 +224,12 @@ class Viewer {
   posed(frame, share) {
     const { clip, model } = this, other = Math.min(frame + 1, clip.frames - 1);
     model.pose(clip.pose(frame), clip.place(frame), clip.pose(other), clip.place(other), share);
+    this.drawn(frame);
+  }
+
+  /** What the model wears and how it stands is seen as `frame`. */
+  drawn(frame) {
+    const { model } = this;
     model.update();
     const { x, z } = model.bones[0].position;
     this.stage.follow(x, z);
@@ -240,7 +251,8 @@ class Viewer {
     this.legend.show(this.heat);
     this.stage.flatten(Boolean(this.heat));
     if (this.shown === null) return;
-    if (this.live) this.posed(this.shown, 0);
+    if (this.feed) this.drawn(this.shown);
+    else if (this.live) this.posed(this.shown, 0);
     else this.show();
   }
 
@@ -296,14 +308,49 @@ class Viewer {
   heardLive(frame, garments) {
     for (const [name, vertices] of garments) this.model.garments.get(name)?.vertices.set(vertices);
     this.posed(frame, 0);
+    this.tell(this.live.figures);
+  }
+
+  tell(figures) {
     const now = performance.now();
     if (now - (this.figuresRead ?? 0) < 250) return;
     this.figuresRead = now;
-    const { median, most, service, dropped, due, rate } = this.live.figures();
+    const { median, most, service, dropped, due, rate } = figures.read();
     find("latency").textContent = `${brief(median)}, ${brief(most)} ms`;
     find("service").textContent = `${brief(service)} ms`;
     find("dropped").textContent = `${dropped} of ${due}`;
     find("rate").textContent = `${rate} / s`;
+  }
+
+  // A feed: somebody else's poses
+
+  follow(name) {
+    document.body.classList.add("feed");
+    find("source").textContent = `feed ${name}`;
+    find("live").hidden = false;
+    this.feed = new Feed(this.avatar.id, name, {
+      heard: (pose, place, garments) => this.heardFeed(pose, place, garments),
+      waiting: (text) => this.state.gone(text),
+      refused: (text) => this.state.error(text),
+    });
+  }
+
+  unfollow() {
+    if (!this.feed) return;
+    this.feed.close();
+    this.feed = null;
+    document.body.classList.remove("feed");
+    find("live").hidden = true;
+  }
+
+  heardFeed(pose, place, garments) {
+    if (this.state.kind === "gone") this.state.clear();
+    for (const [name, vertices] of garments) this.model.garments.get(name)?.vertices.set(vertices);
+    this.model.pose(pose, place, pose, place, 0);
+    const isFirst = this.shown === null;
+    this.drawn((this.shown ?? -1) + 1);
+    if (isFirst) this.stage.home();
+    this.tell(this.feed.figures);
   }
 }
 

@@ -1,4 +1,4 @@
-/* built from sources 2c7758837db5cdd321707aa1737ae79f73d01714f9ee7ac2034cb8b6e147dd5b */
+/* built from sources 12b5df7bbfabcdd82930c574d0ebdab630c2ab3f2cf9a7038c276516d6cca772 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors

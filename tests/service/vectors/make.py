@@ -26,6 +26,8 @@ def name(text: str) -> bytes:
 
 POSES = [i / 64 for i in range(2 * 165)]
 TRANSL = [0.5, -1.0, 2.0, 0.25, 8.0, -0.125]
+TIMES = [0.125, 1 / 3]
+SURE = [(i % 9) / 8 for i in range(2 * 55)]
 HAT = [0.5, 0.25, -1.0, 1.5, -0.75, 2.0]
 """One frame of two vertices."""
 WELCOME = {"fps": 30, "max_frames": 32, "max_credits": 64}
@@ -58,11 +60,21 @@ def client() -> dict[str, tuple[bytes, dict]]:
             header(2, 2, 7, 0, 1234.0625) + floats(POSES) + floats(TRANSL),
             {"kind": "poses", "number": 7, "time": 1234.0625, "poses": POSES, "transl": TRANSL},
         ),
+        "hello_conditioned": (
+            header(1, 0, 24, 2) + plain + floats([1, 2]) + b'{"cutoff":2,"hold":0.25}',
+            {"kind": "hello", "garments": [], "fps": 30, "credits": 2, "state": [1.0, 2.0], **CHOSEN,
+             "conditioning": {"cutoff": 2, "hold": 0.25}},
+        ),
+        "seen": (
+            header(7, 2, 7, 0, 1234.0625) + struct.pack("<2d", *TIMES) + floats(POSES) + floats(TRANSL) + floats(SURE),
+            {"kind": "seen", "number": 7, "time": 1234.0625, "poses": POSES, "transl": TRANSL, "times": TIMES,
+             "confidence": SURE},
+        ),
         "credit": (header(3, extra=3), {"kind": "credit", "count": 3}),
         "reset": (header(4), {"kind": "reset"}),
         "rate": (header(5) + floats([120]), {"kind": "rate", "fps": 120}),
         "get_state": (header(6, time=9.75), {"kind": "get_state", "time": 9.75}),
-    }
+    }  # fmt: skip
 
 
 def server() -> dict[str, tuple[bytes, dict]]:
@@ -80,6 +92,16 @@ def server() -> dict[str, tuple[bytes, dict]]:
             {"kind": "welcome", **WELCOME, "garments": [{"name": "hat", "count": 2, "state_size": 3}]},
         ),
         "meshes_float32": (meshes(floats(HAT)), {**answer, **CHOSEN, "vertices": {"hat": HAT}}),
+        "welcome_conditioned": (
+            header(129, 1, 0, 3, 0.0625) + welcome(2)[24:],
+            {"kind": "welcome", **WELCOME, "garments": [{"name": "hat", "count": 2, "state_size": 3}],
+             "latency": 0.0625},
+        ),
+        "meshes_conditioned": (
+            meshes(struct.pack("<d", 1 / 3) + bytes([16, 33, 0]) + bytes(1) + floats(HAT * 3), 3),
+            {**answer, **CHOSEN, "frames": 3, "vertices": {"hat": HAT * 3}, "conditioned": True, "shown": 1 / 3,
+             "did": [16, 33, 0]},
+        ),
         "meshes_none": (meshes(b"", 0), {**answer, **CHOSEN, "frames": 0, "vertices": {"hat": []}}),
         "meshes_float16": (
             meshes(floats([1, 0, -1]) + halves),

@@ -13,6 +13,7 @@ const meaning = JSON.parse(readFileSync(new URL("vectors.json", import.meta.url)
 const encode = {
   hello: (m) => stream.encodeHello(m),
   poses: (m) => stream.encodePoses(m.number, m.time, m.poses, m.transl),
+  seen: (m) => stream.encodeSeen(m.number, m.time, m.poses, m.transl, m.times, m.confidence),
   credit: (m) => stream.encodeCredit(m.count),
   reset: () => stream.encodeReset(),
   rate: (m) => stream.encodeRate(m.fps),
@@ -25,7 +26,7 @@ for (const [name, meant] of Object.entries(meaning)) {
     found.encoded[name] = hex(encode[meant.kind](meant));
     continue;
   }
-  const decoder = new stream.ServerDecoder(meant.encoding, meant.normals);
+  const decoder = new stream.ServerDecoder(meant.encoding, meant.normals, meant.conditioned);
   decoder.garments = [{ name: "hat", count: meant.count ?? 2, stateSize: 3 }];
   const body = file(`${name}.bin`);
   found.decoded[name] = decoder.decode(body);
