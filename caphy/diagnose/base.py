@@ -125,7 +125,9 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
     correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
     mistaken = {s.group.label: s.gain for s in screened(look.known, look.groups, look.places, model)}
     median_mm = 1e3 * float(np.nanmedian(errors))
-    return Base(model, look.columns, correction, look.variance, changed, mistaken, gain, probes, median_mm)
+    motions = np.array([response.scene for response in look.probed])
+    learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge
+    return Base(*learned, changed, mistaken, gain, probes, median_mm)
 
 
 def _looked(study: Study, model: Model, on_body: bool) -> _Look:

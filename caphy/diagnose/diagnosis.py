@@ -21,7 +21,7 @@ from caphy.io.measurements import Measurement
 from caphy.measure.noise import measurement_noise
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import HeldOut, held_out_errors
-from caphy.refit.intervals import half_widths
+from caphy.refit.intervals import intervals
 from caphy.refit.study import Progress, Study
 
 NOT_WORSE = 0.97
@@ -188,7 +188,7 @@ def _concluded(
             for other in similar[term.group.name]
         },
         ranking=_ranking(found),
-        coefficients=_coefficients(found) if kept else {},
+        coefficients=_coefficients(found, base, len(study.scenes)) if kept else {},
         model=found.model if kept else first.model,
         needed=first.needed,
         windows=len(first.responses),
@@ -234,16 +234,6 @@ def _ranking(found: Search) -> list[Ranked]:
     return ranking
 
 
-def _coefficients(found: Search) -> dict[str, Coefficient]:
-    fit = found.fit
-    assert fit is not None
-    widths = half_widths(fit.evidence)
-    relative = [column.entry is None for column in fit.columns]
-    values = [
-        c if r else column.value(fit.model) for column, c, r in zip(fit.columns, fit.change, relative, strict=True)
-    ]
-    widths = [w * (1 + c) if r else w for w, c, r in zip(widths, fit.change, relative, strict=True)]
-    return {
-        column.name: Coefficient(float(value), float(value - width), float(value + width), column.unit)
-        for column, value, width in zip(fit.columns, values, widths, strict=True)
-    }
+def _coefficients(found: Search, base: Base | None, motions: int) -> dict[str, Coefficient]:
+    assert found.fit is not None
+    return {name: Coefficient(*told) for name, told in intervals(found.fit, base, motions).items()}

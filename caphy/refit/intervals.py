@@ -1,11 +1,15 @@
-"""How sure fitted numbers are: windows resampled, not residuals, because what a window misses it misses throughout."""
+"""How sure fitted numbers are: windows resampled, not residuals, because what a window misses it misses throughout; and
+what all windows miss alike, as far as base measurements tell."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from caphy.refit.evidence import Evidence, ridged
+from caphy.refit.learned import Learned
+from caphy.refit.study import Fit
 
 REPLICAS = 500
 LEVEL = 0.95
@@ -26,12 +30,29 @@ def deviations(known: Evidence, seed: int = 0) -> np.ndarray:
     return np.array(found).reshape(REPLICAS, -1)
 
 
-def half_widths(known: Evidence, seed: int = 0) -> np.ndarray:
+def half_widths(known: Evidence, doubt: np.ndarray | float = 0.0, seed: int = 0) -> np.ndarray:
     """Half widths (K,) of the :data:`LEVEL` intervals.
 
     The spread of the bootstrap, widened by Student's t with as many degrees of freedom as there are windows left over:
-    a dozen windows know their own spread only roughly.
+    a dozen windows know their own spread only roughly. Beside it ``doubt`` (K,), a standard error that all windows
+    share and no resampling of them can show.
     """
     spread = deviations(known, seed).std(axis=0)
     free = max(int((known.weight > 0.05).sum()) - known.b.shape[1], 2)
-    return student.ppf(0.5 + LEVEL / 2, free) * spread * np.sqrt(1 + 1 / free)
+    windows = student.ppf(0.5 + LEVEL / 2, free) * spread * np.sqrt(1 + 1 / free)
+    return np.hypot(windows, norm.ppf(0.5 + LEVEL / 2) * doubt)
+
+
+def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tuple[float, float, float, str]]:
+    """Fitted numbers by name: value, lower and upper end of the :data:`LEVEL` interval, unit; a relative change has the
+    unit 1.
+
+    ``learned`` tells how far mesh and solver lead astray, ``motions`` how many the fit saw.
+    """
+    doubt = 0.0 if learned is None else learned.doubt(fit.columns, motions)
+    found = {}
+    for column, change, half in zip(fit.columns, fit.change, half_widths(fit.evidence, doubt), strict=True):
+        relative = column.entry is None
+        value, width = (change, half * (1 + change)) if relative else (column.value(fit.model), half)
+        found[column.name] = (float(value), float(value - width), float(value + width), column.unit)
+    return found

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column
+from caphy.refit.evidence import Evidence, ridged
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +21,43 @@ class Learned:
         columns: every number of the library's.
         correction: how much of each column, by name, stands for what mesh and solver get wrong.
         variance: what is left in each mode at each lag (L, M) [m^2].
+        told: what the W windows say in these columns.
+        motions: which measurement each window is of, (W,).
+        ridge: how much corrections are shrunk.
     """
 
     model: Model
     columns: tuple[Column, ...]
     correction: Mapping[str, float]
     variance: np.ndarray
+    told: Evidence
+    motions: np.ndarray
+    ridge: float
+
+    def doubt(self, columns: Sequence[Column], count: int) -> np.ndarray:
+        """Standard errors (K,) of numbers fitted to ``count`` motions, by what mesh and solver get wrong in them.
+
+        Each base motion in turn is corrected by the others, and the numbers are fitted to what is left, where they
+        should be zero: that is how far a motion can lead them astray. The correction itself counts as an error beside
+        it, since how much of it holds where the cloth moves otherwise is not known.
+        """
+        known = [(i, self.columns.index(column)) for i, column in enumerate(columns) if column in self.columns]
+        astray = np.zeros((len(columns), 2))
+        if known:
+            rows, places = map(list, zip(*known, strict=True))
+            found = np.array([self._left_in(motion, places) for motion in np.unique(self.motions)])
+            astray[rows, 0] = np.sqrt((found**2).mean(axis=0) / count)
+            astray[rows, 1] = [self.correction.get(columns[row].name, 0.0) for row in rows]
+        return np.hypot(*astray.T)
+
+    def _left_in(self, motion: int, places: Sequence[int]) -> np.ndarray:
+        """Numbers fitted to one motion corrected by all the others."""
+        own = self.told.weight * (self.motions == motion)
+        rest = self.told.weight - own
+        correction = ridged(*self._sums(rest), self.ridge)
+        normal, right = self._sums(own)
+        right = right - normal @ correction
+        return ridged(normal[np.ix_(places, places)], right[places], 1e-6)
+
+    def _sums(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.einsum("w,wkl->kl", weight, self.told.a), weight @ self.told.b

@@ -19,7 +19,7 @@ from caphy.refit.columns import Column, addition, extended, moved, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors, judged
-from caphy.refit.intervals import half_widths
+from caphy.refit.intervals import intervals
 from caphy.refit.learned import Learned
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked
 
@@ -87,6 +87,7 @@ def refit(
     else:
         errors = judged(proof, fitted, variance, *known)
     kept = tuple(name for name in names if name not in removed)
+    numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
     if errors.share < max(PROVEN * fitted.share, LEAST):
         reason = (
@@ -94,8 +95,8 @@ def refit(
             f"({100 * fitted.share:.1f} %) and by {100 * LEAST:.0f} %, but falls by {100 * errors.share:.1f} %: "
             f"{', '.join(kept) or 'the new parameters'} refused"
         )
-        return Refit(model, (), names, _numbers(fitted, model), errors, reason, fitted.share)
-    return Refit(fitted.model, kept, removed, _numbers(fitted, model), errors, reason, fitted.share)
+        return Refit(model, (), names, numbers, errors, reason, fitted.share)
+    return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,13 +177,3 @@ def _split(study: Study) -> Study:
             "measure longer motions, or give --held-out"
         )
     return proof
-
-
-def _numbers(fitted: Fit, model: Model) -> dict[str, tuple[float, float, float, str]]:
-    widths = half_widths(fitted.evidence)
-    found = {}
-    for column, change, width in zip(fitted.columns, map(float, fitted.change), map(float, widths), strict=True):
-        relative = column.entry is None
-        value, half = (change, width * (1 + change)) if relative else (column.value(fitted.model), width)
-        found[column.name] = (value, value - half, value + half, column.unit)
-    return found

@@ -1,0 +1,70 @@
+"""Intervals of fitted numbers: they cover as often as they say, and know what base measurements teach."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from caphy.effects.model import Model
+from caphy.refit.columns import Column
+from caphy.refit.evidence import Evidence
+from caphy.refit.intervals import half_widths
+from caphy.refit.learned import Learned
+
+DRAG, PRESSURE = Column("mass_damping", "rate"), Column("pressure", "pressure")
+MODEL = Model(0.2, {"gravity": {}})
+
+
+def windows(truth: np.ndarray, random: np.random.Generator, spread: float = 0.0, count: int = 15) -> Evidence:
+    """Quadratic forms of windows with 40 entries each of unit noise, the truth (K,) differing a little in each."""
+    s = random.normal(size=(count, 40, len(truth)))
+    e = np.einsum("wek,wk->we", s, truth + random.normal(scale=spread, size=(count, len(truth))))
+    e += random.normal(size=e.shape)
+    a, b = np.einsum("wek,wel->wkl", s, s), np.einsum("wek,we->wk", s, e)
+    return Evidence(a, b, (e * e).sum(1), np.ones(count), np.full(count, 40))
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.5])
+def test_intervals_cover_as_often_as_they_say(spread):
+    """Also where windows disagree by more than their noise, which formulas for independent residuals do not see."""
+    random, truth, covered = np.random.default_rng(0), np.array([1.0, -2.0]), []
+    for _ in range(150):
+        known = windows(truth, random, spread)
+        best = np.linalg.solve(known.a.sum(0), known.b.sum(0))
+        covered.append(np.abs(best - truth) < half_widths(known))
+    assert 0.91 < np.mean(covered) < 0.99
+
+
+def learned(numbers: list[float], ridge: float = 1e-12) -> Learned:
+    """Base motions of three windows, each of which asks for a number of the first column and none of the second."""
+    count = 3 * len(numbers)
+    a = np.tile(np.diag([4.0, 9.0]), (count, 1, 1))
+    b = np.column_stack([4.0 * np.repeat(numbers, 3), np.zeros(count)])
+    told = Evidence(a, b, np.full(count, 100.0), np.ones(count), np.full(count, 40))
+    correction = {DRAG.name: float(np.mean(numbers)), PRESSURE.name: 0.0}
+    motions = np.repeat(np.arange(len(numbers)), 3)
+    return Learned(MODEL, (DRAG, PRESSURE), correction, np.ones((1, 1)), told, motions, ridge)
+
+
+def test_doubt_is_what_the_other_base_motions_leave():
+    """Two motions that ask for 1 and 3: each is left with 2 by the other, and 2 is what is taken off."""
+    found = learned([1.0, 3.0]).doubt((DRAG, PRESSURE), 4)
+    np.testing.assert_allclose(found, [np.hypot(2 / np.sqrt(4), 2.0), 0.0], rtol=1e-5)
+    assert learned([0.3, 0.3]).doubt((DRAG,), 1) == pytest.approx([0.3])
+
+
+def test_with_one_base_motion_all_that_it_asks_for_is_in_doubt():
+    np.testing.assert_allclose(learned([0.7]).doubt((DRAG,), 1), [np.hypot(0.7, 0.7)], rtol=1e-6)
+
+
+def test_a_number_that_base_measurements_do_not_know_is_not_doubted():
+    other = Column("added_mass", "density")
+    np.testing.assert_allclose(learned([1.0, 3.0]).doubt((other, PRESSURE), 1), [0.0, 0.0], atol=1e-9)
+
+
+def test_doubt_adds_to_what_resampling_shows():
+    known = windows(np.array([1.0, -2.0]), np.random.default_rng(1))
+    alone = half_widths(known)
+    np.testing.assert_allclose(
+        half_widths(known, np.array([0.0, 3.0])), np.hypot(alone, [0.0, 1.959964 * 3.0]), rtol=1e-6
+    )
