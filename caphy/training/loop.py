@@ -156,7 +156,7 @@ class Trainer:
             self.progress.seconds += now - last
             if now - logged >= LOG_SECONDS:
                 pace = (self.progress.step - first_step) / (self.progress.seconds - first_seconds)
-                self._log(pace, done)
+                self._log(pace)
                 logged = now
             if self._agreed(now - saved >= checkpoint_seconds):
                 self.save()
@@ -211,7 +211,8 @@ class Trainer:
         if self.rank == 0:
             forget_later(self.folder / METRICS, self.progress.step)
 
-    def _log(self, steps_per_second: float, done: float) -> None:
+    def _log(self, steps_per_second: float) -> None:
+        done = self.schedule.done(self.progress.step, self.progress.seconds)
         loss = sum(self.progress.losses) / len(self.progress.losses)
         self.progress.losses.clear()
         if self.rank:
