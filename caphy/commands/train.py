@@ -76,7 +76,7 @@ class Train:
     outermost: Literal["upper", "lower"] | None = None
     """Which garment is worn over the other; what the scans show, if the folder holds both, or upper."""
     lambda_3d: float | None = None
-    """Weight of the squared distances from the scans [J/m^2]; 1000 unless given."""
+    """Weight of the squared distances from the scans [J/m^2]; 3000 unless given."""
     physics: bool = True
     """Without it the scans alone are learnt, for comparison."""
     seed: int = 0

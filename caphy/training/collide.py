@@ -16,14 +16,15 @@ from caphy.network.files import save_network
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
 from caphy.training.layers import Layers
 from caphy.training.loop import METRICS, NETWORK, Schedule, Trainer, forget_later
+from caphy.training.scans import ScanStreams
 from caphy.training.streams import HELD_WINDOWS, Streams
 from caphy.training.track import Track
 
 EPOCHS = 10
 """Epochs of fine-tuning (CaPhy, section 3.5)."""
-LEAST_STEPS = 25
+LEAST_STEPS = 40
 """Steps of an epoch of random poses, and of one of the scans', at least."""
-LEARNING_RATE = 5e-4
+LEARNING_RATE = 1e-3
 DEEP = 0.001
 """A vertex deeper than this on the wrong side of another garment counts as a collision [m]."""
 
@@ -158,8 +159,6 @@ def _random_tracks(trainings: Sequence[Trainer], streams: int, seed: int) -> lis
 
 
 def _scan_tracks(trainings: Sequence[Trainer], streams: int, seed: int) -> list[Track]:
-    from caphy.training.scans import ScanStreams
-
     return [
         Track(t.scans.motions, ScanStreams(len(t.scans.motions), streams, seed), t.scans.loss, t.network,
               slice(0, streams), last=True)

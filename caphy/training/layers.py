@@ -12,12 +12,11 @@ import torch
 from torch import Tensor
 
 from caphy.body.surface import Surface
-from caphy.effects.body_contact import penalty
 from caphy.effects.cloth import Cloth
 
 STIFFNESS = 1e8
 """Pressure per squared depth, over three [N/m^4]: that of contact with the body."""
-GAP = 0.003
+GAP = 0.004
 """Distance below which two layers push each other apart [m]; they come to rest just inside."""
 NEIGHBOURHOOD = 0.10
 """Cloth within this of the other garment, both at rest on the T-posed body, may meet it [m].
@@ -78,10 +77,11 @@ class Pair:
     def energy(self, inner: Tensor, outer: Tensor) -> Tensor:
         """Energy [J] of one frame, vertices (W, 3) and (V, 3), differentiable in both.
 
-        k a d^3 of each vertex with d = max(gap - height, 0) and a its rest area, on along its tangent where the two
-        have changed places, as :class:`caphy.effects.body_contact.BodyContact`. The height's gradient is the normal at
-        the vertex, and minus it, shared out, at the corners of the face. (CaPhy's equation is printed with the
-        opposite sign, which would pull the layers into each other.)
+        k a d^3 of each vertex with d = max(gap - height, 0) and a its rest area. Where the two have changed places it
+        goes on as the parabola that touches it there: what lies 3 cm deep is pushed harder than what has just sunk in,
+        as there always is a way out, but does not drown all else. The height's gradient is the normal at the vertex,
+        and minus it, shared out, at the corners of the face. (CaPhy's equation is printed with the opposite sign,
+        which would pull the layers into each other.)
         """
         still = (x.detach().cpu().double().numpy() for x in (inner, outer))
         over, under = self.sides(*still)
@@ -144,6 +144,7 @@ def _push(side: Side, x: Tensor, others: Tensor, sign: float, cloth: Cloth) -> T
     vertex, corners = (torch.from_numpy(index[close]).to(x.device) for index in (side.vertex, side.corners))
     point = (tensor(side.share[close])[..., None] * others[corners]).sum(-2)
     height = sign * (tensor(side.normal[close]) * (x[vertex] - point)).sum(-1)
-    skin = torch.full_like(height, GAP)
     area = tensor(cloth.vertex_area[side.vertex[close]])
-    return STIFFNESS * (area * penalty((GAP - height).clamp_min(0), skin)).sum()
+    shallow, beyond = height.clamp_min(0), (-height).clamp_min(0)
+    cube = (GAP - shallow) ** 3 + 3 * GAP**2 * beyond + 3 * GAP * beyond**2
+    return STIFFNESS * (area * cube).sum()

@@ -27,7 +27,7 @@ from caphy.training.motions import Motions
 from caphy.training.objective import Objective, Past
 from caphy.training.streams import HELD_WINDOWS, WINDOW, Windows
 
-LAMBDA_3D = 1000.0
+LAMBDA_3D = 3000.0
 """Weight of the squared distances [J/m^2]; see docs/supervised.md for how it was chosen."""
 SAMPLE = 2500
 """Points of a scan's garment that are held against the cloth: spread evenly, 2 cm apart on a shirt."""

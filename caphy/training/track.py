@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
+import numpy as np
 import torch
 import torch.distributed as dist
 from torch import Tensor
@@ -13,7 +14,7 @@ from caphy.errors import CaphyError
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.motions import Motions
 from caphy.training.objective import Past
-from caphy.training.streams import Streams, Windows
+from caphy.training.streams import Windows
 
 
 class Loss(Protocol):
@@ -24,11 +25,25 @@ class Loss(Protocol):
         ...
 
 
+class Played(Protocol):
+    """Which frames streams play: see :class:`caphy.training.streams.Streams`."""
+
+    place: np.ndarray
+
+    def advance(self) -> Windows:
+        """The next window of every stream."""
+        ...
+
+    def restore(self, place: np.ndarray) -> None:
+        """Continue from a saved :attr:`place` (B, 2)."""
+        ...
+
+
 class Track:
     """B streams through some motions under one loss; this process plays those of ``own``."""
 
     def __init__(
-        self, motions: Motions, streams: Streams, loss: Loss, network: GarmentNetwork, own: slice, last: bool = False
+        self, motions: Motions, streams: Played, loss: Loss, network: GarmentNetwork, own: slice, last: bool = False
     ) -> None:
         """With ``last`` offsets are made of the last frame of each window only, for losses that score no other."""
         self.motions, self.streams, self.loss, self.own, self.last = motions, streams, loss, own, last
