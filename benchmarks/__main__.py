@@ -12,6 +12,7 @@ import benchmarks
 ASIDE = (
     "collision",
     "diagnosis",
+    "fabric",
     "monocular",
     "newton",
     "papertable",

@@ -42,7 +42,7 @@ class FabricCommand:
     """Which to fit; those that are not worn are passed over."""
     objective: str = "response"
     """"response", or "force" for CaPhy's squared gradient, which noise biases (docs/fabric.md)."""
-    rounds: int = 8
+    rounds: int = 12
     """Rounds at most."""
     scans: int = 60
     """Scans used at most, spread over those there are."""

@@ -29,12 +29,14 @@ class Hits:
     """Scanned points and the places of the cloth's surface that each is held against, P of them.
 
     Attributes:
+        index: which of the scan's points these are (P,).
         rows: (P, 3 V), a vertex field's component along the normal at each place.
         height: where each point is, in the same component (P,) [m].
         face, weights, normal: the places (P,), (P, 3) and directions (P, 3).
         area: of cloth that each point stands for (P,) [m^2].
     """
 
+    index: np.ndarray
     rows: csr_array
     height: np.ndarray
     face: np.ndarray
@@ -73,7 +75,7 @@ def find_hits(points: np.ndarray, facing: np.ndarray, x: np.ndarray, cloth: Clot
     count = np.bincount(face, minlength=len(cloth.faces))
     area = (cloth.face_area / np.maximum(count, 1))[face]
     height = np.einsum("pc,pc->p", points[near], normal)
-    return Hits(rows, height, face, weights, normal, area)
+    return Hits(np.flatnonzero(near), rows, height, face, weights, normal, area)
 
 
 def _on_rim(cloth: Cloth, face: np.ndarray, weights: np.ndarray) -> np.ndarray:

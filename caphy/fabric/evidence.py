@@ -46,8 +46,12 @@ class Said:
     median: float
 
 
-def by_response(layer: Layer, worn: Worn, lying: Lying, numbers: Coefficients) -> Said:
-    """What a scan says through the change of the equilibrium; the layer's potential is aimed at the scan."""
+def by_response(layer: Layer, worn: Worn, lying: Lying, numbers: Coefficients, mesh: np.ndarray | None = None) -> Said:
+    """What a scan says through the change of the equilibrium; the layer's potential is aimed at the scan.
+
+    ``mesh`` is how much farther out the cloth would lie at each of the scan's points on a finer mesh (N,) [m]; NaN
+    where that is not known, and such points are not used.
+    """
     x = torch.from_numpy(lying.x)
     body = worn.seen(x)
     pushes = torch.cat([numbers.forces(layer.potential, x, body), _contact(layer, x, body)])
@@ -55,9 +59,20 @@ def by_response(layer: Layer, worn: Worn, lying: Lying, numbers: Coefficients) -
     moved = -factor.solve(pushes.permute(1, 2, 0).contiguous().numpy())
     residual = lying.hits.residual(lying.x)
     near = np.abs(residual) < FARTHEST
+    if mesh is not None:
+        residual = residual - mesh[lying.hits.index]
+        near &= np.isfinite(residual)
     r, j = residual[near], (lying.hits.rows @ moved.reshape(-1, moved.shape[-1]))[near]
     energy = numbers.energies(layer.potential, x)
-    return Said(j.T @ j, j.T @ r, float(r @ r), len(r), energy, float(np.median(np.abs(residual))))
+    return Said(j.T @ j, j.T @ r, float(r @ r), len(r), energy, float(np.median(np.abs(r))))
+
+
+def of_the_mesh(lying: Lying, fine: Lying, count: int) -> np.ndarray:
+    """How much farther out the cloth lies on a finer mesh at each of ``count`` points of a scan (N,) [m], or NaN."""
+    found = np.full((2, count), np.nan)
+    for row, one in zip(found, (lying, fine), strict=True):
+        row[one.hits.index] = one.hits.residual(one.x)
+    return found[0] - found[1]
 
 
 def by_force(layer: Layer, worn: Worn, lying: Lying, numbers: Coefficients, values: np.ndarray) -> Said:

@@ -30,7 +30,7 @@ def record(fitted: Fitted, sure: Certainty, model: Model, objective: Objective) 
         name: {
             "over_the_start": round(fitted.stiffness[name], 4) if sure.determined[name] else NOT_DETERMINED,
             "interval": [round(sure.low[name], 4), round(sure.high[name], 4)] if sure.determined[name] else None,
-            "over_density_m2_per_s2": None,
+            "over_density_si": None,
         }
         for name in numbers.names
     }
@@ -38,7 +38,7 @@ def record(fitted: Fitted, sure: Certainty, model: Model, objective: Objective) 
         if sure.determined[name]:
             mine = numbers.group == numbers.names.index(name)
             mean = float(fitted.energy[mine] @ fitted.values[mine] / max(fitted.energy[mine].sum(), 1e-300))
-            stiffness[name]["over_density_m2_per_s2"] = mean / numbers.start.density
+            stiffness[name]["over_density_si"] = mean / numbers.start.density
     entries = [
         {
             "name": column.name,
@@ -63,6 +63,7 @@ def record(fitted: Fitted, sure: Certainty, model: Model, objective: Objective) 
                 "stiffness_over_the_start": one.stiffness,
                 "scans": len(one.said),
                 "median_distance_m": one.median,
+                "mesh_corrected": one.corrected,
             }
             for one in fitted.rounds
         ],

@@ -13,16 +13,19 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.fabric.bounded import Pooled, solve
 from caphy.fabric.coefficients import Coefficients
-from caphy.fabric.evidence import Said, by_force, by_response
-from caphy.fabric.states import Layer
+from caphy.fabric.evidence import Said, by_force, by_response, of_the_mesh
+from caphy.fabric.states import Layer, Lying
 from caphy.fabric.stills import Worn
+from caphy.fabric.subdivision import Subdivision
 
 Objective = Literal["response", "force"]
 """Which least squares: the change of the equilibrium (the default), or CaPhy's squared gradient."""
 
 FEWEST = 3
 """Scans that a fabric can be fitted to; intervals are of how much scans disagree."""
-SETTLED = 0.02
+ROUNDS, CORRECTIONS = 12, 2
+"""Rounds at most, and how often the mesh's error is told."""
+SETTLED = 0.01
 """Change of every table's stiffness in a round below which the rounds end."""
 
 Guess = Callable[[Worn], np.ndarray]
@@ -36,6 +39,7 @@ class Round:
     """One outer round.
 
     Attributes:
+        corrected: whether the mesh's own error was taken off.
         values: the numbers it started from (K,).
         said: what each scan said there.
         stiffness: each table's, over the start's, at the strains of the scans: effect -> ratio.
@@ -46,6 +50,7 @@ class Round:
     said: tuple[Said, ...]
     stiffness: dict[str, float]
     median: float
+    corrected: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +103,11 @@ def ratios(numbers: Coefficients, energy: np.ndarray, values: np.ndarray, over: 
 def fit_fabric(
     worn: Sequence[Worn],
     model: Model,
-    rounds: int = 8,
+    rounds: int = ROUNDS,
     objective: Objective = "response",
     guess: Guess | None = None,
     progress: Progress | None = None,
+    corrections: int = CORRECTIONS,
 ) -> Fitted:
     """The fabric of a garment from scans of it at rest; the model's density and all else in it is kept.
 
@@ -110,60 +116,94 @@ def fit_fabric(
         model: where to start from.
         rounds: at most so many.
         guess: where to look for the cloth first; the skinned template unless given. It is followed from there.
+        corrections: times that the error of the mesh is told anew, once the rounds have settled; of the response only.
 
     Raises:
         CaphyError: fewer than :data:`FEWEST` scans can be used, or the model has no fabric.
     """
     numbers = Coefficients.of(model)
-    cloth = Cloth.of(worn[0].garment, model.density) if worn else None
-    values, history, drawn = numbers.values, [], {}
-    left_out: dict[str, str] = {}
+    scans = _Scans(tuple(worn), numbers, objective, guess, progress)
+    values, history = numbers.values, []
+    left = corrections if objective == "response" else 0
     settled = False
     for number in range(rounds):
-        assert cloth is not None or not worn
-        said = _look(worn, numbers, values, cloth, objective, guess, drawn, left_out, number, progress)
-        if len(said) < FEWEST:
-            reasons = "".join(f"\n  {name}: {why}" for name, why in left_out.items())
-            raise CaphyError(f"at least {FEWEST} scans are needed to fit a fabric, {len(said)} can be used{reasons}")
+        said = scans.look(values, number)
         energy = np.sum([one.energy for one in said], axis=0)
         median = float(np.median([one.median for one in said]))
-        history.append(Round(values, said, ratios(numbers, energy, values, numbers.values), median))
+        stiffness = ratios(numbers, energy, values, numbers.values)
+        history.append(Round(values, said, stiffness, median, bool(scans.mesh)))
         after = solve(Pooled.of(said), numbers, values)
         change = ratios(numbers, energy, after, values)
         values = after
         settled = all(abs(np.log(max(ratio, 1e-9))) < SETTLED for ratio in change.values())
-        if settled:
+        if left and number < rounds - 1 and (settled or number + 1 >= rounds // 2):
+            scans.correct(values)
+            left, settled = left - 1, False
+        elif settled:
             break
-    return Fitted(numbers, values, tuple(history), left_out, settled)
+    return Fitted(numbers, values, tuple(history), scans.left_out, settled)
 
 
-def _look(
-    worn: Sequence[Worn], numbers: Coefficients, values: np.ndarray, cloth: Cloth | None, objective: Objective,
-    guess: Guess | None, drawn: dict[str, np.ndarray], left_out: dict[str, str], number: int, progress: Progress | None,
-) -> tuple[Said, ...]:  # fmt: skip
-    """What every scan says at some values; those that cannot be used are added to ``left_out``, with the reason."""
-    if cloth is None:
-        return ()
-    model = numbers.model(values)
-    layer, said = Layer(model, cloth), []
-    for done, one in enumerate(worn):
+class _Scans:
+    """The scans of one garment, and what is remembered of each from round to round."""
+
+    def __init__(
+        self, worn: tuple[Worn, ...], numbers: Coefficients, objective: Objective, guess: Guess | None,
+        progress: Progress | None,
+    ) -> None:  # fmt: skip
+        self.worn, self.numbers, self.objective, self.guess, self.progress = worn, numbers, objective, guess, progress
+        self.left_out: dict[str, str] = {}
+        self.mesh: dict[str, np.ndarray] = {}  # what a finer mesh would change, by scan
+        self._lying: dict[str, Lying] = {}
+
+    def look(self, values: np.ndarray, number: int) -> tuple[Said, ...]:
+        """What every scan says at some values; those that cannot be used are put into ``left_out``, with the reason."""
+        said: list[Said] = []
+        if self.worn:
+            layer = Layer(self.numbers.model(values), Cloth.of(self.worn[0].garment, self.numbers.start.density))
+            for done, one in enumerate(self.worn):
+                if one.still.name not in self.left_out:
+                    said += self._told(layer, one, values)
+                if self.progress is not None:
+                    self.progress(number, done + 1, len(self.worn))
+        if len(said) < FEWEST:
+            reasons = "".join(f"\n  {name}: {why}" for name, why in self.left_out.items())
+            raise CaphyError(f"at least {FEWEST} scans are needed to fit a fabric, {len(said)} can be used{reasons}")
+        return tuple(said)
+
+    def _told(self, layer: Layer, one: Worn, values: np.ndarray) -> list[Said]:
+        """What a scan says; nothing where the cloth does not come to rest in it this time."""
         name = one.still.name
-        if name in left_out:
-            continue
         try:
-            new = name not in drawn
-            start = (one.skinned() if guess is None else guess(one)) if new else drawn[name]
-            lying = layer.lie(one, start, seek=new)
-            drawn[name] = lying.drawn
-            found = (
-                by_force(layer, one, lying, numbers, values)
-                if objective == "force"
-                else by_response(layer, one, lying, numbers)
-            )
-            if lying.rests and np.isfinite(found.b).all():
-                said.append(found)
+            before = self._lying.get(name)
+            start = before.drawn if before is not None else one.skinned() if self.guess is None else self.guess(one)
+            lying = self._lying[name] = layer.lie(one, start, seek=before is None)
+            if self.objective == "force":
+                found = by_force(layer, one, lying, self.numbers, values)
+            else:
+                found = by_response(layer, one, lying, self.numbers, self.mesh.get(name))
         except CaphyError as error:
-            left_out[name] = str(error)
-        if progress is not None:
-            progress(number, done + 1, len(worn))
-    return tuple(said)
+            self.left_out[name] = str(error)
+            return []
+        return [found] if lying.rests and found.count and np.isfinite(found.b).all() else []
+
+    def correct(self, values: np.ndarray) -> None:
+        """Find what the mesh does: the cloth of each scan brought to rest with each face cut in four as well."""
+        finer = Subdivision.of(self.worn[0].garment)
+        density = self.numbers.start.density
+        model = self.numbers.model(values)
+        coarse = Layer(model, Cloth.of(self.worn[0].garment, density))
+        fine = Layer(model, Cloth.of(finer.garment, density))
+        for one in self.worn:
+            name = one.still.name
+            if name in self.left_out or name not in self._lying:
+                continue
+            try:
+                lying = self._lying[name] = coarse.lie(one, self._lying[name].drawn, seek=False)
+                worn = Worn(one.still, one.body, finer.garment)
+                refined = fine.lie(worn, finer.carried(lying.drawn), seek=False)
+            except CaphyError as error:
+                self.left_out[name] = str(error)
+                continue
+            if lying.rests and refined.rests:
+                self.mesh[name] = of_the_mesh(lying, refined, len(one.still.points))

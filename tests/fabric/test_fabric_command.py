@@ -1,0 +1,77 @@
+"""``caphy fabric`` on a small run's folder: what it writes, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks._panel import Stills, frame, panel, turns
+from caphy.cli import main
+from caphy.effects.model import Model
+from caphy.effects.presets import fabric_model
+from caphy.garment.template import write_npz
+from caphy.register.points import FOLDER, ScanPoints
+from caphy.register.subject import SUBJECT_BODY, body_arrays
+
+SIDE = 6
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A run whose upper garment is a panel, with four scans, one of them without cloth."""
+    folder = tmp_path_factory.mktemp("run")
+    write_npz(folder / SUBJECT_BODY, body_arrays(frame()))
+    panel(SIDE).save(folder / "upper.npz")
+    stills = Stills(fabric_model("white-swim-solid"), SIDE, turns(4, 5), 5)
+    nothing = np.zeros((0, 3), np.float32)
+    names = []
+    for worn in stills.scans(panel(SIDE), 0.0005, spacing=0.015):
+        still = worn.still
+        points = still.points.astype(np.float32)
+        ScanPoints(still.name, nothing, points, nothing, still.pose, still.transl).save(folder / FOLDER)
+        names.append(still.name)
+    ScanPoints("bare", nothing, nothing, nothing, still.pose, still.transl).save(folder / FOLDER)
+    (folder / "split.json").write_text(json.dumps({"train": [*names, "bare"], "held_out": []}))
+    return folder
+
+
+def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
+    start = ["--fabric", "tango-red-jet-set", "--upper-density", "0.204"]
+    assert main(["fabric", str(run), *start, "--rounds", "2"]) == 0
+    told = capsys.readouterr().out
+    assert "left out: bare" in told
+    assert f"--model {run / 'fabric_upper.json'}" in told
+    model = Model.load(run / "fabric_upper.json")
+    assert model == Model.load(run / "fabric.json")  # of a single garment the record is a model as well
+    assert model.density == 0.204
+    assert model.history[-1].note == "fabric fitted to scans at rest"
+    document = json.loads((run / "fabric.json").read_text())["garments"]["upper"]
+    assert document["scans"] == 4 and len(document["rounds"]) == 2
+    assert len(document["numbers"]) == 39
+    assert set(document["stiffness"]) == {"strain_measured", "bending_measured"}
+    for row in document["stiffness"].values():
+        assert row["interval"] is None or row["interval"][0] < row["over_the_start"] < row["interval"][1]
+    page = (run / "fabric.html").read_text()
+    assert page.count("<svg") == 4 and "NaN" not in page and "nan" not in page
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--upper-density", "0"], "kg/m"),
+        (["--objective", "nonsense"], "response or force"),
+        (["--rounds", "0"], "at least 1"),
+        (["--garments", "hat"], "upper and lower"),
+        (["--fabric", "sackcloth"], "sackcloth"),
+        (["--model", "nowhere.json"], "nowhere.json"),
+    ],
+)
+def test_bad_options_are_refused(run, capsys, options, told):
+    assert main(["fabric", str(run), *options]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
+    assert main(["fabric", str(tmp_path)]) == 2
+    assert "caphy register" in capsys.readouterr().err

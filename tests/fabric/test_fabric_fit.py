@@ -1,0 +1,207 @@
+"""Fitting a fabric to scans of a hanging panel whose fabric is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks._panel import Stills, panel, turns
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.effects.presets import fabric_model
+from caphy.errors import CaphyError
+from caphy.fabric.bounded import FASTEST, Pooled, bounds, solve
+from caphy.fabric.certainty import Certainty
+from caphy.fabric.coefficients import Coefficients
+from caphy.fabric.evidence import CONTACT, Said, by_force, by_response
+from caphy.fabric.record import NOT_DETERMINED, record, settled_model
+from caphy.fabric.rounds import Fitted, Round, fit_fabric, ratios
+from caphy.fabric.states import WEAK, Layer
+from caphy.fabric.stills import Worn
+
+SIDE = 8
+PLANTED = fabric_model("white-swim-solid")
+
+
+@pytest.fixture(scope="module")
+def stills():
+    return Stills(PLANTED, SIDE, turns(5, 3), 3)
+
+
+@pytest.fixture(scope="module")
+def scans(stills):
+    """Scans without noise, on the mesh of the truth."""
+    return stills.scans(panel(SIDE), 0.0, spacing=0.012)
+
+
+def test_the_gradient_is_linear_in_the_tables():
+    """Twice any two numbers' changes change the gradient twice as much, by what the columns say."""
+    random = np.random.default_rng(0)
+    garment = panel(5)
+    cloth, numbers = Cloth.of(garment, 0.2), Coefficients.of(PLANTED)
+    x = torch.from_numpy(garment.vertices * 1.05 + 0.003 * random.normal(size=garment.vertices.shape))
+    columns = numbers.forces(Potential(numbers.model(numbers.values), cloth), x, None)
+    change = 0.02 * numbers.values * random.normal(size=len(numbers.values))
+
+    def gradient(values):
+        return Potential(numbers.model(values), cloth).gradient(x)[1]
+
+    here = gradient(numbers.values)
+    expected = torch.einsum("k,kvc->vc", torch.from_numpy(change), columns)
+    for times in (1.0, 2.0):
+        moved = gradient(numbers.values + times * change) - here
+        np.testing.assert_allclose(moved, times * expected, atol=1e-4 * float(moved.abs().max()))
+
+
+def test_energies_are_those_of_the_effects():
+    numbers = Coefficients.of(PLANTED)
+    garment = panel(5)
+    potential = Potential(numbers.model(numbers.values), Cloth.of(garment, 0.2))
+    x = torch.from_numpy(garment.vertices + 0.004 * np.random.default_rng(1).normal(size=garment.vertices.shape))
+    energy = numbers.energies(potential, x)
+    for name, total in potential.energies(x).items():
+        if name in numbers.names:
+            mine = numbers.group == numbers.names.index(name)
+            assert energy[mine] @ numbers.values[mine] == pytest.approx(float(total), rel=1e-6)
+
+
+def test_the_response_is_the_change_of_the_equilibrium(scans):
+    """Against the solver: the same hits, numbers changed a little, brought to rest again."""
+    numbers = Coefficients.of(PLANTED)
+    cloth = Cloth.of(scans[0].garment, PLANTED.density)
+    layer = Layer(PLANTED, cloth)
+    layer.newton = layer.newton.within(1e-8)
+    lying = layer.lie(scans[0], scans[0].skinned(), seek=True)
+    x, _ = layer.newton.minimise(torch.from_numpy(lying.x), None, scans[0].seen)  # with the very hits that are told
+    lying = replace(lying, x=x.numpy())
+    said = by_response(layer, scans[0], lying, numbers)
+    change = np.concatenate([0.02 * numbers.values, np.zeros(len(CONTACT))])
+    other = Layer(numbers.model(1.02 * numbers.values), cloth)
+    other.potential.aim(lying.hits, WEAK)
+    after, report = other.newton.within(1e-8).minimise(x, None, scans[0].seen)
+    assert report.converged
+    moved = lying.hits.residual(lying.x) - lying.hits.residual(after.numpy())
+    near = np.abs(lying.hits.residual(lying.x)) < 0.012
+    assert change @ said.a @ change == pytest.approx(float((moved[near] ** 2).sum()), rel=0.1)
+
+
+def test_a_planted_fabric_is_found_from_a_wrong_one(scans):
+    """No noise and the mesh of the truth: both tables' stiffness within 10 %, from half and from twice of it."""
+    numbers = Coefficients.of(PLANTED)
+    factor = np.where(numbers.group == 0, 0.5, 2.0)
+    fitted = fit_fabric(scans, numbers.model(factor * numbers.values), rounds=6)
+    found = ratios(fitted.numbers, fitted.energy, fitted.values, numbers.values)
+    assert found == pytest.approx({"strain_measured": 1.0, "bending_measured": 1.0}, abs=0.1)
+    sure = Certainty.of(fitted)
+    assert all(sure.determined.values())
+    document = record(fitted, sure, settled_model(fitted, sure, "fitted"), "response")
+    low, high = document["stiffness"]["strain_measured"]["interval"]
+    assert low < document["stiffness"]["strain_measured"]["over_the_start"] < high
+    changed = document["model"]["history"][-1]["parameters"]
+    assert set(changed) == {"strain_measured.stretching", "bending_measured.bending"}
+
+
+def test_density_scales_the_stiffness_found(scans):
+    """At rest only ratios to the density are told: twice the weight, twice the stiffness, in the same cloth."""
+    layer = [Layer(replace(PLANTED, density=d * PLANTED.density), Cloth.of(panel(SIDE), 0.2)) for d in (1.0, 2.0)]
+    numbers = [Coefficients.of(one.potential.model) for one in layer]
+    doubled = numbers[1].model(2 * numbers[1].values)
+    x = torch.from_numpy(scans[0].skinned() + 0.01 * np.random.default_rng(2).normal(size=(SIDE * SIDE, 3)))
+    heavy = Potential(doubled, layer[1].cloth).term_gradients(x)
+    light = Potential(numbers[0].model(numbers[0].values), layer[0].cloth).term_gradients(x)
+    for name in (*numbers[0].names, "gravity"):
+        np.testing.assert_allclose(heavy[name], 2 * light[name], rtol=1e-9, atol=1e-12)
+
+
+def test_noise_biases_the_squared_gradient_and_hardly_the_response(stills):
+    """At the true fabric a step of CaPhy's objective on noisy scans goes far off, a step of the response does not."""
+    noisy = stills.scans(panel(SIDE), 0.002, spacing=0.012)
+    numbers = Coefficients.of(PLANTED)
+    layer = Layer(numbers.model(numbers.values), Cloth.of(panel(SIDE), PLANTED.density))
+    response, force = [], []
+    for one in noisy:
+        lying = layer.lie(one, one.skinned(), seek=True)
+        response.append(by_response(layer, one, lying, numbers))
+        force.append(by_force(layer, one, lying, numbers, numbers.values))
+    stretch = {}
+    for name, said in (("response", response), ("force", force)):
+        values = solve(Pooled.of(said), numbers, numbers.values)
+        stretch[name] = abs(np.log(ratios(numbers, said[0].energy, values, numbers.values)["strain_measured"]))
+    assert stretch["response"] < 0.3
+    assert stretch["force"] > 2 * stretch["response"]
+
+
+def _said(numbers: Coefficients, told: np.ndarray, wanted: np.ndarray, seed: int) -> Said:
+    """A scan that wants numbers changed by ``wanted`` (K,), and feels only those ``told`` (K,)."""
+    random = np.random.default_rng(seed)
+    count = len(numbers.values)
+    j = np.zeros((200, count + len(CONTACT)))
+    j[:, :count] = np.where(told, random.normal(size=(200, count)) / numbers.values, 0)
+    r = j[:, :count] @ wanted + 0.02 * random.normal(size=200)
+    return Said(j.T @ j, j.T @ r, float(r @ r), 200, np.ones(count), 1e-3)
+
+
+def test_a_round_keeps_within_bounds():
+    numbers = Coefficients.of(PLANTED)
+    everywhere = np.ones(len(numbers.values), bool)
+    for wanted in (-10.0, 10.0):
+        said = [_said(numbers, everywhere, wanted * numbers.values, seed) for seed in range(6)]
+        found = solve(Pooled.of(said), numbers, numbers.values)
+        low, high = bounds(numbers, numbers.values)
+        assert (found >= low - 1e-12).all() and (found <= high + 1e-12).all()
+        assert (found > 0).all()
+        total = found[numbers.group == 0].sum() / numbers.values[numbers.group == 0].sum()
+        assert total == pytest.approx(FASTEST if wanted > 0 else 1 / FASTEST, rel=0.3)
+    numbers.model(found)  # a valid model: the parameters' own bounds hold
+
+
+def test_what_scans_do_not_tell_is_not_determined_and_keeps_the_start_s_table():
+    numbers = Coefficients.of(PLANTED)
+    stretch = numbers.group == 0
+    said = tuple(_said(numbers, stretch, 0.2 * numbers.values, seed) for seed in range(8))
+    values = solve(Pooled.of(said), numbers, numbers.values)
+    history = (Round(numbers.values, said, {}, 1e-3),)
+    fitted = Fitted(numbers, values, history)
+    sure = Certainty.of(fitted)
+    assert sure.determined == {"strain_measured": True, "bending_measured": False}
+    assert sure.entries[stretch].all() and not sure.entries[~stretch].any()
+    model = settled_model(fitted, sure, "fitted")
+    np.testing.assert_array_equal(
+        model.effects["bending_measured"]["bending"], PLANTED.effects["bending_measured"]["bending"]
+    )
+    document = record(fitted, sure, model, "response")
+    assert document["stiffness"]["bending_measured"]["over_the_start"] == NOT_DETERMINED
+    told = {row["name"]: row["found"] for row in document["numbers"]}
+    assert told["bending_measured.bending[0,0]"] == NOT_DETERMINED
+    assert told["strain_measured.stretching[0,0]"] == pytest.approx(1.2 * numbers.values[0], rel=0.05)
+
+
+def test_scans_that_disagree_leave_a_table_undetermined():
+    numbers = Coefficients.of(PLANTED)
+    everywhere = np.ones(len(numbers.values), bool)
+    said = tuple(
+        _said(numbers, everywhere, sign * 3 * numbers.values, seed) for seed, sign in enumerate((1, -1, 1, -1, 1))
+    )
+    fitted = Fitted(numbers, numbers.values, (Round(numbers.values, said, {}, 1e-3),))
+    assert not any(Certainty.of(fitted).determined.values())
+
+
+def test_a_scan_of_something_else_is_left_out_by_name(scans):
+    stray = replace(scans[0].still, name="stray", points=scans[0].still.points + np.array([0.0, 0.0, 2.0]))
+    worn = [Worn(stray, scans[0].body, scans[0].garment), *scans[:3]]
+    fitted = fit_fabric(worn, PLANTED, rounds=1)
+    assert list(fitted.left_out) == ["stray"] and "points lie within" in fitted.left_out["stray"]
+    assert len(fitted.rounds[0].said) == 3
+    with pytest.raises(CaphyError, match=r"at least 3 scans.*\n  stray"):
+        fit_fabric(worn[:3], PLANTED, rounds=1)
+
+
+def test_models_that_cannot_be_fitted_are_refused(scans):
+    with pytest.raises(CaphyError, match="strain_measured"):
+        fit_fabric(scans, Model(0.2, {"gravity": {}}))
+    with pytest.raises(CaphyError, match="above zero"):
+        fit_fabric(scans, Model(0.2, {"bending": {"stiffness_weft": 0.0, "stiffness_warp": 0.0}}))
+    with pytest.raises(CaphyError, match="at least 3 scans"):
+        fit_fabric([], PLANTED)
