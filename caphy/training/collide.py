@@ -24,7 +24,7 @@ EPOCHS = 10
 """Epochs of fine-tuning (CaPhy, section 3.5)."""
 LEAST_STEPS = 40
 """Steps of an epoch of random poses, and of one of the scans', at least."""
-LEARNING_RATE = 1e-3
+LEARNING_RATE = 5e-4
 DEEP = 0.001
 """A vertex deeper than this on the wrong side of another garment counts as a collision [m]."""
 

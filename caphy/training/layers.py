@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from caphy.body.surface import Surface
+from caphy.effects.body_contact import penalty
 from caphy.effects.cloth import Cloth
 
 STIFFNESS = 1e8
@@ -77,11 +78,11 @@ class Pair:
     def energy(self, inner: Tensor, outer: Tensor) -> Tensor:
         """Energy [J] of one frame, vertices (W, 3) and (V, 3), differentiable in both.
 
-        k a d^3 of each vertex with d = max(gap - height, 0) and a its rest area. Where the two have changed places it
-        goes on as the parabola that touches it there: what lies 3 cm deep is pushed harder than what has just sunk in,
-        as there always is a way out, but does not drown all else. The height's gradient is the normal at the vertex,
-        and minus it, shared out, at the corners of the face. (CaPhy's equation is printed with the opposite sign,
-        which would pull the layers into each other.)
+        k a d^3 of each vertex with d = max(gap - height, 0) and a its rest area, on along its tangent where the two
+        have changed places, as :class:`caphy.effects.body_contact.BodyContact`: a steeper push there makes the few
+        deepest vertices throw the networks off. The height's gradient is the normal at the vertex, and minus it,
+        shared out, at the corners of the face. (CaPhy's equation is printed with the opposite sign, which would pull
+        the layers into each other.)
         """
         still = (x.detach().cpu().double().numpy() for x in (inner, outer))
         over, under = self.sides(*still)
@@ -145,6 +146,5 @@ def _push(side: Side, x: Tensor, others: Tensor, sign: float, cloth: Cloth) -> T
     point = (tensor(side.share[close])[..., None] * others[corners]).sum(-2)
     height = sign * (tensor(side.normal[close]) * (x[vertex] - point)).sum(-1)
     area = tensor(cloth.vertex_area[side.vertex[close]])
-    shallow, beyond = height.clamp_min(0), (-height).clamp_min(0)
-    cube = (GAP - shallow) ** 3 + 3 * GAP**2 * beyond + 3 * GAP * beyond**2
-    return STIFFNESS * (area * cube).sum()
+    skin = torch.full_like(height, GAP)
+    return STIFFNESS * (area * penalty((GAP - height).clamp_min(0), skin)).sum()
