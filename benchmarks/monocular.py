@@ -7,10 +7,12 @@ and the focal length. Films and records are kept in ``--out`` and used again.
 Every line is one video. "joints": position after rigid alignment. "arm", "leg": mean angle of shoulder and elbow, hip
 and knee against their parents, twist included, and after the stroke of the bones' directions. "up": gravity.
 "garment": vertices against those of the true poses, pelvis on pelvis. "jitter": rms acceleration of vertices against
-the true ones, of the poses as estimated and conditioned; "acc true" is the true one's own, which garments that stand
-still would score. "lag": the shift [ms] at which joints' angles come nearest, of the estimate to the truth and of the
-conditioned poses to the estimate; the latency that conditioning states, 60 ms, comes on top. "cpu ms": processor time
-of the client for each picture, all threads; it depends less than "fps" on what else the machine does.
+the true ones, of the poses unfiltered and conditioned; "acc true" is the true one's own, which garments that stand
+still would score. Unfiltered poses are what each picture says for itself: the same fit to the same landmarks without
+the pull of the last picture's posture, which is a filter too. "lag": the shift [ms] at which joints' angles come
+nearest, of the unfiltered poses to the truth and of the conditioned poses to the unfiltered; the latency that
+conditioning states, 60 ms, comes on top. "cpu ms": processor time of the client for each picture, all threads; it
+depends less than "fps" on what else the machine does.
 """
 
 from __future__ import annotations
@@ -39,10 +41,14 @@ from benchmarks.monocular_errors import (
     lag,
     vertex_error,
 )
+from benchmarks.monocular_film import HEIGHT, WIDTH
 from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle, read_bundle
 from caphy.io.poses.sequence import interpolate
 from caphy.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from service.clients.monocular.kinematics import Kinematics
+from service.clients.monocular.landmarks import Landmarks
+from service.clients.monocular.skeleton import Skeleton
 from service.settings import BUNDLED_AVATARS
 
 
@@ -111,7 +117,7 @@ def row(bundle: AvatarBundle, record: dict[str, np.ndarray], truth: dict[str, np
     known = np.arange(len(truth["poses"])) / FPS
     moments = known[(known >= record["frame_time"][0] - 1e-6) & (known <= record["frame_time"][-1] + 1e-6)]
     true = _at(moments, known, Motion(truth["poses"], truth["transl"]))
-    raw = _at(moments, record["time"][seen], Motion(record["poses"][seen], record["transl"][seen]))
+    raw = _at(moments, record["time"][seen], unfiltered(record, seen, bundle, float(truth["focal"])))
     calm = _at(moments, record["frame_time"], Motion(record["frame_poses"], record["frame_transl"]))
     place = Place(record, truth, bundle, moments)
     worn = dressed(bundle, true), place.vertices(dressed(bundle, raw)), place.vertices(dressed(bundle, calm))
@@ -125,6 +131,20 @@ def row(bundle: AvatarBundle, record: dict[str, np.ndarray], truth: dict[str, np
     speed = count / float(record["seconds"]), 1e3 * float(record["processor"]) / count
     figures = [joint_error(bundle, calm, true), *angles[0], *angles[1], place.gravity_error(), garment]
     return np.array([*figures, *noise, noise[0] / noise[1], jitter(still, worn[0], FPS), *lags, *speed])
+
+
+def unfiltered(record: dict[str, np.ndarray], seen: np.ndarray, bundle: AvatarBundle, focal: float) -> Motion:
+    """What each of the pictures ``seen`` (T,) says for itself, in the client's world."""
+    kinematics = Kinematics(Skeleton.of(bundle.joints), focal, (WIDTH, HEIGHT))
+    poses, places = np.zeros((int(seen.sum()), 55, 3)), np.zeros((int(seen.sum()), 3))
+    for i, picture in enumerate(np.flatnonzero(seen)):
+        landmarks = Landmarks(*(record[name][picture] for name in ("pixels", "world", "visibility")))
+        posture = kinematics.fit(landmarks, np.inf)
+        turn = record["turn"][picture]
+        rotations = np.concatenate([turn[None] @ posture.rotations[:1], posture.rotations[1:]])
+        poses[i, : len(rotations)] = axis_angle_from_matrix(rotations)
+        places[i] = turn @ posture.root + record["origin"][picture] - bundle.joints[0]
+    return Motion(poses, places)
 
 
 def _at(moments: np.ndarray, times: np.ndarray, motion: Motion) -> Motion:

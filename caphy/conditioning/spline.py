@@ -12,29 +12,30 @@ import numpy as np
 
 
 def spline_weights(times: np.ndarray, precision: np.ndarray, stiffness: float, at: float) -> np.ndarray:
-    """Weights (N,) so that ``weights @ samples`` is the spline's value at the time ``at`` [s].
+    """Weights (..., N) so that ``weights @ samples`` is the spline's value at the time ``at`` [s].
 
-    times: (N,) of the samples, rising [s], N of at least 1. precision: (N,) weights w of the samples [s], positive.
-    stiffness: [s^4]. Beyond the samples the spline goes straight on. The weights add up to one and reproduce any
-    straight line.
+    times: (N,) of the samples, rising [s], N of at least 1. precision: (..., N) weights w of the samples [s], positive;
+    every row of them has weights of its own. stiffness: [s^4]. Beyond the samples the spline goes straight on. The
+    weights add up to one and reproduce any straight line.
     """
     count = len(times)
     if count < 3:
-        return _straight(times, at)
+        return np.broadcast_to(_straight(times, at), precision.shape).copy()
     steps = np.diff(times)
     inner = np.arange(count - 2)
     differences = np.zeros((count - 2, count))
     differences[inner, inner] = 1 / steps[:-1]
     differences[inner, inner + 1] = -1 / steps[:-1] - 1 / steps[1:]
     differences[inner, inner + 2] = 1 / steps[1:]
-    system = stiffness * (differences / precision) @ differences.T
-    system[inner, inner] += (steps[:-1] + steps[1:]) / 3
-    system[inner[:-1], inner[1:]] += steps[1:-1] / 6
-    system[inner[1:], inner[:-1]] += steps[1:-1] / 6
+    system = stiffness * (differences / precision[..., None, :]) @ differences.T
+    system[..., inner, inner] += (steps[:-1] + steps[1:]) / 3
+    system[..., inner[:-1], inner[1:]] += steps[1:-1] / 6
+    system[..., inner[1:], inner[:-1]] += steps[1:-1] / 6
     values, curvatures = _at(times, steps, at)
     # value = values . x + curvatures . g with g = system^-1 differences y and x = y - stiffness / w differences^T g
-    adjoint = np.linalg.solve(system, curvatures[1:-1] - stiffness * differences @ (values / precision))
-    return values + differences.T @ adjoint
+    right = curvatures[1:-1] - stiffness * (values / precision) @ differences.T
+    adjoint = np.linalg.solve(system, right[..., None])[..., 0]
+    return values + adjoint @ differences
 
 
 def _straight(times: np.ndarray, at: float) -> np.ndarray:

@@ -65,29 +65,29 @@ class Track:
         self._reference = value
 
     def _groups(self, time: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Channels that trust the same samples alike, those samples, and their weights."""
+        """Channels (C,) that trust the same samples (N,), those samples, and the weights (C, N) of each channel."""
         if not len(self._times):
             return
         seen: dict[bytes, list[int]] = {}
-        columns = np.ascontiguousarray(self._trust.T)
+        trusted = np.ascontiguousarray(self._trust.T > 0)
         for channel in np.flatnonzero(~self._still).tolist():  # fingers mostly rest, and need no curve
-            seen.setdefault(columns[channel].tobytes(), []).append(channel)
+            seen.setdefault(trusted[channel].tobytes(), []).append(channel)
         for channels in seen.values():
-            trust = self._trust[:, channels[0]]
-            (samples,) = np.nonzero(trust)
+            (samples,) = np.nonzero(trusted[channels[0]])
             if not len(samples):
                 continue
-            weights = self._weights(self._times[samples], self._precision * trust[samples], time)
-            yield np.array(channels), samples, weights
+            trust, alike = np.unique(self._trust[samples][:, channels].T, axis=0, return_inverse=True)
+            weights = self._weights(self._times[samples], self._precision * trust, time)
+            yield np.array(channels), samples, weights[alike.reshape(-1)]
 
     def _weights(self, times: np.ndarray, precision: np.ndarray, time: float) -> np.ndarray:
         """The samples' weights at ``time``, as if the first had been there a moment before, too: of a body that begins
         to be seen nobody knows the velocity, and standing is the calmest guess. Sixteen samples later it is nothing."""
         times = np.concatenate([[times[0] - STOOD], times])
-        precision = np.concatenate([[self._precision], precision])
+        precision = np.concatenate([np.full((len(precision), 1), self._precision), precision], axis=1)
         weights = spline_weights(times, precision, self._stiffness, _coasting(time, times[-1]))
-        weights[1] += weights[0]
-        return weights[1:]
+        weights[:, 1] += weights[:, 0]
+        return weights[:, 1:]
 
     def _mixed(self, reference: np.ndarray, samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
         raise NotImplementedError
@@ -98,14 +98,14 @@ class RotationTrack(Track):
 
     def _mixed(self, reference: np.ndarray, samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
         offsets = between(np.broadcast_to(reference, samples.shape), samples)
-        return rotated(reference, np.tensordot(weights, offsets, 1))
+        return rotated(reference, np.einsum("cn,nci->ci", weights, offsets))
 
 
 class PathTrack(Track):
     """Points (C, 3) [m]."""
 
     def _mixed(self, reference: np.ndarray, samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        return np.tensordot(weights, samples, 1)
+        return np.einsum("cn,nci->ci", weights, samples)
 
 
 def _coasting(time: float, last: float) -> float:

@@ -58,9 +58,8 @@ def client_message(meant: dict[str, Any]):
         case "poses" | "seen":
             poses, transl = np.array(meant["poses"], "<f4"), np.array(meant["transl"], "<f4")
             given = meant["number"], meant["time"], poses.reshape(-1, 55, 3), transl.reshape(-1, 3)
-            if meant["kind"] == "poses":
-                return Poses(*given)
-            return Seen(*given, np.array(meant["times"]), np.array(meant["confidence"], "<f4").reshape(-1, 55))
+            times, sure = meant.get("times", ()), np.array(meant.get("confidence", ()), "<f4").reshape(-1, 55)
+            return Seen(*given, np.array(times), sure) if len(times) else Poses(*given)
         case "credit":
             return Credit(meant["count"])
         case "rate":

@@ -17,9 +17,11 @@ from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle, read_bundle
 from caphy.io.poses import PoseSequence, write_poses
 from service.client import Client
-from service.clients.monocular.dressing import Dressing, open_wardrobe
+from service.clients.feed import FeedClient
+from service.clients.monocular.dressing import Dressing, Wardrobe, open_wardrobe
 from service.clients.monocular.estimator import Estimator
-from service.clients.monocular.landmarks import MediapipeDetector, PeopleCounter
+from service.clients.monocular.landmarks import Landmarks, MediapipeDetector, PeopleCounter
+from service.clients.monocular.live import FEED, LiveWardrobe
 from service.clients.monocular.overlay import Overlay
 from service.clients.monocular.run import Record, run
 from service.clients.monocular.video import Video
@@ -43,6 +45,9 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m service.clients.monocular", description=__doc__)
     parser.add_argument("video", help="a video file, or a camera's number such as 0")
     parser.add_argument("-o", "--out", type=Path, help="the dressed video to write (.mp4)")
+    parser.add_argument(
+        "--live", nargs="?", const=FEED, metavar="FEED", help=f"show it in the service's page, on a feed ({FEED!r})"
+    )
     parser.add_argument("--service", default="http://127.0.0.1:8000", help="address of 'caphy serve'")
     parser.add_argument("--key", help="API key, where the service wants one")
     parser.add_argument("--bundle", type=Path, default=BUNDLE, help="the folder of the avatar that the service serves")
@@ -66,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
     detector, counter = MediapipeDetector(), PeopleCounter()
     estimator = Estimator(bundle.joints, detector, focal, video.size)
     settings = Conditioning(fps=bundle.fps, latency=options.latency)
-    wardrobe = open_wardrobe(options.service, avatar, bundle.fps, options.key)
+    wardrobe = _wardrobe(options, avatar, bundle)
     writer, show = _writer(options.out, video)
     overlay = Overlay(bundle, focal, video.size) if options.out else None
     dressing = Dressing(wardrobe, settings)
@@ -79,6 +84,16 @@ def _run(options: argparse.Namespace) -> int:
         detector.close()
         counter.close()
     return _finish(options, video, bundle, estimator, dressing, record, wardrobe.name)
+
+
+def _wardrobe(options: argparse.Namespace, avatar: str, bundle: AvatarBundle) -> Wardrobe:
+    """Who dresses: the service for what is drawn here, its page for what is shown there."""
+    if not options.live:
+        return open_wardrobe(options.service, avatar, bundle.fps, options.key)
+    feed = FeedClient(options.service, avatar, options.live, fps=bundle.fps, key=options.key)
+    print(f"open {feed.page}", flush=True)
+    drawn = open_wardrobe(options.service, avatar, bundle.fps, options.key) if options.out else None
+    return LiveWardrobe(feed, bundle, drawn)
 
 
 def _served(url: str, bundle: AvatarBundle) -> str:
@@ -171,14 +186,18 @@ def _notes(video: Video, estimator: Estimator, record: Record) -> list[str]:
 
 
 def _write_record(path: Path, record: Record) -> None:
-    """Times, poses (NaN where nobody was seen), the camera's turns, and frames, as plain arrays."""
+    """Times, landmarks and poses (NaN where nobody was seen), the camera's turns, and frames, as plain arrays."""
     estimates, frames = record.estimates, [dressed.frame for dressed in record.frames]
     nobody = np.full((55, 3), np.nan)
+    nothing = Landmarks(np.full((33, 2), np.nan), np.full((33, 3), np.nan), np.zeros(33))
     np.savez(
         path,
         time=np.array([e.time for e in estimates]),
         poses=np.stack([nobody if e.poses is None else e.poses for e in estimates]),
         transl=np.stack([nobody[0] if e.transl is None else e.transl for e in estimates]),
+        pixels=np.stack([(seen or nothing).pixels for seen in record.seen]),
+        world=np.stack([(seen or nothing).world for seen in record.seen]),
+        visibility=np.stack([(seen or nothing).visibility for seen in record.seen]),
         turn=np.stack([e.turn for e in estimates]),
         origin=np.stack([e.origin for e in estimates]),
         frame_time=np.array([f.time for f in frames]),

@@ -29,7 +29,10 @@ class Dressed:
 
 
 class Wardrobe(Protocol):
-    """Something that dresses frame after frame."""
+    """Something that dresses frame after frame. name: over what."""
+
+    @property
+    def name(self) -> str: ...
 
     def wear(self, frames: list[Frame]) -> list[dict[str, np.ndarray]]:
         """Garments' vertices (V, 3) [m] by name, for each frame."""

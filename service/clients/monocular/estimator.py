@@ -67,7 +67,7 @@ class Estimator:
     def detect(self, picture: Picture) -> tuple[Landmarks | None, bool]:
         """The person in the picture, and whether a scene begins with it. The slow part; keeps its own state only."""
         is_cut = self._cuts.between(picture.pixels)
-        return self._detector(picture.pixels[..., ::-1].copy()), is_cut
+        return self._detector(picture.rgb), is_cut
 
     def estimate(self, picture: Picture, seen: Landmarks | None, is_cut: bool) -> Estimate:
         """The pose of what :meth:`detect` saw."""

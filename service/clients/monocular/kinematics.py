@@ -5,7 +5,7 @@ The residuals of one picture:
 
     pixels   the landmark's projection against where it was seen, as metres at the landmark's depth
     depths   the landmark's place against the hips, against the detector's guess in space (mostly its depth)
-    usual    axis-angle of each joint against what bodies do (posture.py)
+    usual    axis-angles of all joints together against what bodies do (posture.py)
     past     the turn of each joint since the last picture
     limits   joints that turn further than joints turn
 
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.clients.monocular.landmarks import LANDMARKS, Landmarks
-from service.clients.monocular.posture import limits, usual_posture
+from service.clients.monocular.posture import limits, postures, usual_posture
 from service.clients.monocular.rotations import best_turn, inverse_jacobians, smallest_turn, turns, turns_inverse
 from service.clients.monocular.skeleton import Skeleton
 
@@ -43,9 +43,9 @@ SPACE_SPREAD = np.array([0.10, 0.10, 0.07])
 """Trust in a landmark's place in space against the hips: across, down, away [m]."""
 OUTLIER = 4.0
 """Pixels further off than so many spreads count less and less."""
-TURN_RATE = 5.0
+TURN_RATE = 10.0
 """Usual speed of a joint's turn [rad/s]: trust in the last picture's posture."""
-MOVE_RATE = 2.0
+MOVE_RATE = 4.0
 """Usual speed of the pelvis [m/s]."""
 LIMIT_SPREAD = np.radians(3.0)
 LOST = 0.1
@@ -78,7 +78,8 @@ class Kinematics:
     def __init__(self, skeleton: Skeleton, focal: float, size: tuple[int, int]) -> None:
         self._skeleton = skeleton
         self._focal, self._middle = focal, np.array(size) / 2
-        self._mean, self._spread = usual_posture()
+        self._mean, _ = usual_posture()
+        self._usual, self._precision = postures()
         self._low, self._high = limits()
         self._last: Posture | None = None
         self._scale, self._scales = 1.0, 0
@@ -89,7 +90,8 @@ class Kinematics:
         self._last, self._scales = None, 0
 
     def fit(self, seen: Landmarks, step: float) -> Posture:
-        """The posture in the next picture, ``step`` seconds after the last."""
+        """The posture in the next picture, ``step`` seconds after the last; after infinitely many the last picture's
+        is only where the search begins, and weighs nothing."""
         places = (seen.pixels - self._middle) / self._focal
         space = self._in_camera(seen.world, places)
         weights = seen.visibility.clip(0.03, 1)
@@ -196,19 +198,14 @@ class Kinematics:
 
     def _add_usual(self, matrix: np.ndarray, vector: np.ndarray, angles: np.ndarray) -> None:
         """The terms "usual" and "limits"; the pelvis may turn as it likes."""
-        inverse = inverse_jacobians(angles)
-        trust = 1 / self._spread**2
-        trust[0] = 0
-        pull = trust * (angles - self._mean)
-        over = angles - angles.clip(self._low, self._high)
-        over[0] = 0
-        trust = trust + (over != 0) / LIMIT_SPREAD**2
-        pull += over / LIMIT_SPREAD**2
-        blocks = np.einsum("jca,jc,jcb->jab", inverse, trust, inverse)
-        for joint in range(1, len(angles)):
-            part = slice(3 + 3 * joint, 6 + 3 * joint)
-            matrix[part, part] += blocks[joint]
-        vector[3:] += np.einsum("jca,jc->ja", inverse, pull).ravel()
+        over = (angles - angles.clip(self._low, self._high))[1:]
+        held = ((over != 0) / LIMIT_SPREAD**2).ravel()
+        pull = self._precision @ (angles[1:].ravel() - self._usual) + over.ravel() / LIMIT_SPREAD**2
+        inverse = inverse_jacobians(angles)[1:]
+        trust = (self._precision + np.diag(held)).reshape(len(over), 3, len(over), 3)
+        trust = np.einsum("jca,jckd,kdb->jakb", inverse, trust, inverse, optimize=True)
+        matrix[6:, 6:] += trust.reshape(len(held), len(held))
+        vector[6:] += np.einsum("jca,jc->ja", inverse, pull.reshape(-1, 3)).ravel()
 
     def _add_past(
         self, matrix: np.ndarray, vector: np.ndarray, rotations: np.ndarray, root: np.ndarray, step: float

@@ -72,18 +72,22 @@ class Overlay:
     @staticmethod
     def _painted(pixels: np.ndarray, polygons: np.ndarray, depths: np.ndarray, colours: np.ndarray) -> np.ndarray:
         """From far to near, then over the picture."""
-        canvas = np.zeros((*pixels.shape[:2], 4), np.uint8)
+        dressed = pixels.copy()
+        size = np.array(pixels.shape[1::-1])
+        corners = polygons.reshape(-1, 2) / 2**_FINE
+        low, high = np.array([[0, 0], [0, 0]]) if not len(corners) else (corners.min(axis=0), corners.max(axis=0))
+        low, high = np.clip([low - 2, high + 3], 0, size).astype(int)  # only this part is worked on
+        if not (high > low).all():
+            return dressed
+        canvas = np.zeros((high[1] - low[1], high[0] - low[0], 4), np.uint8)
         order = np.argsort(-depths, kind="stable")
         paint = colours[order].clip(0, 255).tolist()
-        for polygon, colour in zip(polygons[order].astype(np.int32), paint, strict=True):
+        for polygon, colour in zip((polygons[order] - low * 2**_FINE).astype(np.int32), paint, strict=True):
             cv2.fillConvexPoly(canvas, polygon, colour, cv2.LINE_8, _FINE)
-        rows, columns = np.flatnonzero(canvas[..., 3].any(axis=1)), np.flatnonzero(canvas[..., 3].any(axis=0))
-        dressed = pixels.copy()
-        if len(rows):
-            part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-            smooth = cv2.blur(canvas[part], (2, 2)).astype(np.float32)
-            share = smooth[..., 3:] / 255
-            dressed[part] = (smooth[..., :3] + (1 - share) * dressed[part]).astype(np.uint8)
+        part = slice(low[1], high[1]), slice(low[0], high[0])
+        smooth = cv2.blur(canvas, (2, 2)).astype(np.float32)
+        share = smooth[..., 3:] / 255
+        dressed[part] = (smooth[..., :3] + (1 - share) * dressed[part]).astype(np.uint8)
         return dressed
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+import caphy
 from caphy.conventions import BODY_JOINT_COUNT, JOINT_NAMES
 
 USUAL: Final[dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]]] = {
@@ -23,7 +25,7 @@ USUAL: Final[dict[str, tuple[tuple[float, float, float], tuple[float, float, flo
     "left_elbow": ((-3, -47, 22), (16, 40, 18)),
     "left_wrist": ((0, 5, 12), (16, 26, 16)),
 }
-"""Mean and spread of each joint's axis-angle [degrees], for the middle and the left side.
+"""Mean and spread of each joint's axis-angle [degrees], for the middle and the left side: where limits lie.
 
 From 23 clips of the CMU motion capture database (walking, running, jumping, ball games, signals), retargeted to the
 bundled body, left and right joined; spreads widened, for people do more than that.
@@ -36,6 +38,22 @@ FLEXION: Final[dict[str, tuple[int, float, float]]] = {
     "right_elbow": (1, -3, 150),
 }
 """Joints that bend one way only: component of the axis-angle, least and most [degrees] (AAOS, "Joint Motion", 1965)."""
+
+
+STATISTICS: Final = Path(caphy.__file__).parent / "data" / "pose_statistics.npz"
+"""Mean and covariance of 30 CMU clips, left and right alike (:mod:`caphy.register.pose_statistics`)."""
+UNKNOWN: Final = np.radians(5.0)
+"""Added to the spread of every angle: there are other postures than those of the clips [rad]."""
+
+
+def postures() -> tuple[np.ndarray, np.ndarray]:
+    """Mean (63,) [rad] and precision (63, 63) of the axis-angles of the 21 body joints, one Gaussian over all of them.
+
+    What is seen of one joint tells something of others: of the upper arm by the forearm, which alone cannot be turned.
+    """
+    with np.load(STATISTICS, allow_pickle=False) as arrays:
+        mean, covariance = arrays["mean"].astype(np.float64), arrays["covariance"].astype(np.float64)
+    return mean, np.linalg.inv(covariance + UNKNOWN**2 * np.eye(len(mean)))
 
 
 def usual_posture() -> tuple[np.ndarray, np.ndarray]:

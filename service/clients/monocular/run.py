@@ -26,9 +26,13 @@ _UNSEEN = 0.5
 
 @dataclass
 class Record:
-    """What came of a video. estimates: as the pictures gave them. frames: conditioned, at the avatar's rate."""
+    """What came of a video.
+
+    estimates: as the pictures gave them. seen: what the detector saw. frames: conditioned, at the avatar's rate.
+    """
 
     estimates: list[Estimate] = field(default_factory=list)
+    seen: list[Landmarks | None] = field(default_factory=list)
     frames: list[Dressed] = field(default_factory=list)
     people: list[int] = field(default_factory=list)
     """How many were counted, now and then."""
@@ -61,9 +65,10 @@ def run(
     last_seen = -np.inf
     for picture, seen, is_cut in _detected(video, estimator, seconds):
         if count_people is not None and len(record.estimates) % _COUNT_EVERY == 0:
-            record.people.append(count_people(picture.pixels[..., ::-1]))
+            record.people.append(count_people(picture.rgb))
         estimate = estimator.estimate(picture, seen, is_cut)
         record.estimates.append(estimate)
+        record.seen.append(seen)
         last_seen = picture.time if estimate.poses is not None else last_seen
         waiting.append((picture, picture.time - last_seen < _UNSEEN))
         record.frames += dressing.push(estimate)

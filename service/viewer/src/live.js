@@ -46,6 +46,9 @@ export class Live {
     this.heard(frame, Object.entries(garments).map(([name, { vertices }]) => [name, vertices.subarray(vertices.length - vertices.length / frames)]));
   }
 
+  /** Frames that came so far. */
+  get seen() { return this.figures.seen; }
+
   close() {
     this.closed = true;
     this.stream.close();

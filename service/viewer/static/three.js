@@ -1,4 +1,4 @@
-/* built from sources 12b5df7bbfabcdd82930c574d0ebdab630c2ab3f2cf9a7038c276516d6cca772 */
+/* built from sources 819959ce0d4a28371923fefd74661fc2b94a2beb2389729f35bc5ac93925afb9 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
