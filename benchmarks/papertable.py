@@ -82,7 +82,7 @@ def _trained(given: argparse.Namespace, recipe: Recipe, seed: int, kind: str) ->
     elif recipe.physics == "fabric":
         words += ["--fabric", given.fabric]
     elif recipe.physics == "optimised":
-        model = run / "fabric" / kind / "model.json"
+        model = run / f"fabric_{kind}.json"
         if not model.is_file():
             print(f"{model}: the run's fabric was not optimised, so this row cannot be trained", file=sys.stderr)
             return False

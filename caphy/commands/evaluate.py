@@ -29,9 +29,9 @@ class Evaluate:
     """Folder of labelled scans with a scans.toml, the ones the run was registered from."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder that 'caphy register' filled; gets evaluation.json, evaluation.txt and evaluation/NAME.png."""
-    row: tuple[str, ...] = ()
-    """Rows besides those the run holds, as NAME=FOLDER: an avatar, a folder with upper and lower, or with seed_1 ... of
-    them."""
+    row: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A row besides those the run holds, as NAME=FOLDER: an avatar, a folder with upper and lower, or one with seed_1
+    ... of them; may be given several times."""
     labels: Path | None = None
     """Folder of labels (NAME.npy) to use instead of the scans' own."""
     vgg: Path | None = None

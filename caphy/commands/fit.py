@@ -39,6 +39,10 @@ class Fit:
     """Licence of a body of your own, in words; it goes into the avatar."""
     fabric: str = "gray-interlock"
     """The measured fabric to start from."""
+    fabric_rounds: int = 8
+    """Rounds of the fit of the fabric, at most."""
+    fabric_scans: int = 60
+    """Scans that the fabric is fitted to, at most; at least 3."""
     collision_epochs: int = 10
     """How long to fine-tune against collisions, in passes through the scans' poses."""
     hold_out: Literal["random", "unlike"] = "random"
@@ -80,10 +84,12 @@ def main(arguments: list[str]) -> int:
 def _check(options: Fit) -> None:
     from caphy.material.fabrics import fabric
 
-    for name in ("minutes", "steps", "collision_epochs"):
+    for name in ("minutes", "steps", "fabric_rounds", "collision_epochs"):
         value = getattr(options, name)
         if value is not None and not value > 0:
             raise CaphyError(f"--{name.replace('_', '-')} must be positive, got {value}")
+    if options.fabric_scans < 3:
+        raise CaphyError(f"--fabric-scans must be at least 3, got {options.fabric_scans}")
     fabric(options.fabric)
     if options.body not in ("medium", "fine") and options.licence is None:
         raise CaphyError("a body of your own needs its licence in words, which goes into the avatar: --licence TEXT")

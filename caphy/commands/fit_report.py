@@ -121,9 +121,8 @@ def _evaluation_tables(evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
         return []
     heads, rows = figure_rows(evaluation)
     class_heads, by_class = class_rows(evaluation)
-    note = (
-        f"{len(evaluation['scans'])} scans held out, {evaluation['trained_on']} trained on. {evaluation['definition']}"
-    )
+    counts = f"scans trained on: {evaluation['trained_on']}, held out: {len(evaluation['scans'])}"
+    note = f"{evaluation['definition']}; {counts}"
     return [
         {"heading": "On held-out scans", "note": note, "heads": heads, "rows": rows},
         {
@@ -137,7 +136,7 @@ def _evaluation_tables(evaluation: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _parameter_tables(run: Path) -> list[dict[str, Any]]:
     """What each garment's cloth is made of in the networks that the avatar has; what acts on any cloth is left out."""
-    from caphy.commands.fit_stages import final
+    from caphy.commands.fit_stages import FABRIC, final
     from caphy.effects.model import Model
     from caphy.effects.presets import WORN
     from caphy.effects.registry import find_effect
@@ -150,7 +149,22 @@ def _parameter_tables(run: Path) -> list[dict[str, Any]]:
             units = {name: parameter.unit for name, parameter in find_effect(effect).parameters.items()}
             for name, value in model.effects[effect].items():
                 rows.append([f"{folder.name}: {effect.replace('_', ' ')}, {name}", _number(value), units[name]])
-    return [{"heading": "Cloth", "note": "as trained with", "heads": ["parameter", "value", "unit"], "rows": rows}]
+    tables = [{"heading": "Cloth", "note": "as trained with", "heads": ["parameter", "value", "unit"], "rows": rows}]
+    found = [
+        [f"{kind}: {effect.replace('_', ' ')}", *_stiffness(row)]
+        for kind, fabric in read(run, FABRIC).get("garments", {}).items()
+        for effect, row in fabric["stiffness"].items()
+    ]
+    note = "fitted to the scans, density given; of the fabric that the fit started from"
+    heads = ["stiffness", "times the start's", "95 % interval"]
+    return [{"heading": "Fabric", "note": note, "heads": heads, "rows": found}, *tables] if found else tables
+
+
+def _stiffness(row: Mapping[str, Any]) -> list[str]:
+    if row["interval"] is None:
+        return ["not determined", ""]
+    low, high = row["interval"]
+    return [f"{row['over_the_start']:.2f}", f"{low:.2f} to {high:.2f}"]
 
 
 def _number(value: Any) -> str:

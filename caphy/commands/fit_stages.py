@@ -12,7 +12,9 @@ from caphy.commands.fit_scans import CHECKED, LABELLED, LABELS, SCANS, check_sca
 from caphy.errors import CaphyError
 from caphy.pipeline.stage import Stage
 
-AVATAR, PAGE = "avatar", "report.html"
+AVATAR, FABRIC, PAGE = "avatar", "fabric.json", "report.html"
+FIRST = 0.6
+"""Share of the training that comes before the fabric is fitted."""
 SUBJECT = ("body.npz", "upper.npz", "lower.npz", "subject_body.npz", "points", "split.json", LABELLED)
 """What the registration leaves that training depends on."""
 
@@ -30,6 +32,8 @@ class Plan:
     fabric: str
     minutes: float
     steps: int | None
+    fabric_rounds: int
+    fabric_scans: int
     collision_epochs: int
     hold_out: Literal["random", "unlike"]
     vgg: Path | None
@@ -49,8 +53,10 @@ def stages(plan: Plan, count: int) -> list[Stage]:
     run = plan.run
     sources, labelled = (run / SCANS, run / CHECKED), (run / SCANS, run / LABELS, run / LABELLED)
     subject = tuple(run / name for name in SUBJECT)
-    seconds = 60 * plan.minutes if plan.steps is None else 0.3 * plan.steps
-    timed = plan.steps is None
+    seconds, timed = (60 * plan.minutes, True) if plan.steps is None else (0.3 * plan.steps, False)
+    training = {"fabric": plan.fabric, "seed": plan.seed, "device": plan.device}
+    fabrics = tuple(run / name for name in (FABRIC, "fabric_upper.json", "fabric_lower.json"))
+    networks = tuple(run / name for name in ("train", "fabric", "collided"))
     return [
         Stage(
             "check", "checking the scans", lambda: check_scans(plan.scans, run, plan.parser),
@@ -79,31 +85,41 @@ def stages(plan: Plan, count: int) -> list[Stage]:
         ),
         Stage(
             "train", "training on physics and scans", lambda: _train(plan),
-            inputs=(*subject, *plan.poses), outputs=(run / "train",),
-            options={"fabric": plan.fabric, "training": plan.shared(1), "seed": plan.seed, "device": plan.device},
-            seconds=seconds, timed=timed,
+            inputs=(*subject, *plan.poses), outputs=(run / "train",), options=training | {"budget": plan.shared(FIRST)},
+            seconds=FIRST * seconds, timed=timed,
+        ),
+        Stage(
+            "fabric", "fitting the fabric to the scans", lambda: _fabric(plan),
+            inputs=(*subject, run / "train"), outputs=(run / FABRIC,),
+            options={"fabric": plan.fabric, "rounds": plan.fabric_rounds, "scans": plan.fabric_scans},
+            seconds=30 + min(count, plan.fabric_scans) * (14 + 6 * plan.fabric_rounds), may_fail=True,
+        ),
+        Stage(
+            "refine", "training on under the fabric found", lambda: _refine(plan),
+            inputs=(*subject, *plan.poses, run / "train", *fabrics), outputs=(run / "fabric",),
+            options=training | {"budget": plan.shared(1 - FIRST)}, seconds=(1 - FIRST) * seconds, timed=timed,
         ),
         Stage(
             "collide", "fine-tuning against collisions of garments", lambda: _collide(plan),
-            inputs=(run / "train", *subject), outputs=(run / "collided",),
+            inputs=(*networks[:2], *subject), outputs=(run / "collided",),
             options={"epochs": plan.collision_epochs, "seed": plan.seed},
             seconds=2.4 * max(0.3 * count, 25) * plan.collision_epochs,
             may_fail=True,
         ),
         Stage(
             "export", "writing the avatar", lambda: _export(plan),
-            inputs=(run / "train", run / "collided", run / "subject_body.npz"), outputs=(run / AVATAR,),
+            inputs=(*networks, run / "subject_body.npz"), outputs=(run / AVATAR,),
             options={"licence": plan.licence}, seconds=25,
         ),
         Stage(
             "evaluate", "holding it against the scans left out of training", lambda: _evaluate(plan),
-            inputs=(*labelled, *subject, run / "train", run / "collided", run / "rows", *_files(plan.vgg)),
+            inputs=(*labelled, *subject, run / FABRIC, *networks, run / "rows", *_files(plan.vgg)),
             outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=15 + 1.5 * count,
             may_fail=True,
         ),
         Stage(
             "report", "writing the page", lambda: _report(plan),
-            inputs=(*labelled, *subject, run / "evaluation.json", run / "garments.json", run / AVATAR),
+            inputs=(*labelled, *subject, run / FABRIC, run / "evaluation.json", run / "garments.json", run / AVATAR),
             outputs=(run / PAGE,), seconds=15, may_fail=True,
         ),
     ]  # fmt: skip
@@ -166,13 +182,34 @@ def _split_unlike(plan: Plan) -> None:
 
 
 def _train(plan: Plan) -> None:
-    worn = kinds(plan.run)
-    for kind in worn:
-        folder = plan.run / "train" / kind
-        resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
-        options = ["--fabric", plan.fabric, "--seed", str(plan.seed), "--device", plan.device]
-        garment, budget = plan.run / f"{kind}.npz", plan.shared(1 / len(worn))
-        _command("train", garment, *plan.poses, "-o", folder, "--scans", plan.run, *budget, *options, *resume)
+    for kind in kinds(plan.run):
+        _train_one(plan, kind, plan.run / "train" / kind, FIRST, ["--fabric", plan.fabric])
+
+
+def _train_one(plan: Plan, kind: str, folder: Path, share: float, physics: Sequence[str | Path]) -> None:
+    """Train one garment, or what is missing of it, with a share of the budget."""
+    resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
+    options = [*plan.shared(share / len(kinds(plan.run))), "--seed", str(plan.seed), "--device", plan.device]
+    where = [plan.run / f"{kind}.npz", *plan.poses, "-o", folder, "--scans", plan.run]
+    _command("train", *where, *physics, *options, *resume)
+
+
+def _fabric(plan: Plan) -> None:
+    try:
+        budget = ["--rounds", str(plan.fabric_rounds), "--scans", str(plan.fabric_scans)]
+        _command("fabric", plan.run, "--fabric", plan.fabric, *budget)
+    except CaphyError:
+        if not (plan.run / FABRIC).is_file():  # else one garment's fabric was found, and the other's was told of
+            raise
+
+
+def _refine(plan: Plan) -> None:
+    """Networks trained on under the fabric that was found, or under the first one where none was."""
+    found = read(plan.run, FABRIC).get("garments", {})
+    for kind in kinds(plan.run):
+        model = ["--model", plan.run / found[kind]["model_file"]] if kind in found else ["--fabric", plan.fabric]
+        before = ["--init", plan.run / "train" / kind]
+        _train_one(plan, kind, plan.run / "fabric" / kind, 1 - FIRST, [*before, *model])
 
 
 def _collide(plan: Plan) -> None:
@@ -183,13 +220,22 @@ def _collide(plan: Plan) -> None:
         return
     resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
     budget = ["--epochs", str(plan.collision_epochs), "--seed", str(plan.seed)]
-    _command("collide", *(plan.run / "train" / kind for kind in worn), "-o", folder, *budget, *resume)
+    _command("collide", *networks_of(plan.run, ("fabric", "train")), "-o", folder, *budget, *resume)
 
 
 def final(run: Path) -> list[Path]:
     """The folders of the networks that the avatar is made of, innermost garment first: the last that there are."""
+    return networks_of(run, ("collided", "fabric", "train"))
+
+
+def networks_of(run: Path, stages: Sequence[str]) -> list[Path]:
+    """Folders of every garment's network of the first of ``stages`` that has them all.
+
+    Raises:
+        CaphyError: none has.
+    """
     worn = kinds(run)
-    for stage in ("collided", "train"):
+    for stage in stages:
         folders = [run / stage / kind for kind in worn]
         if all((folder / "network.safetensors").is_file() for folder in folders):
             return folders

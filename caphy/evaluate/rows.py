@@ -41,15 +41,15 @@ def known_rows(run: Path) -> list[Row]:
 def _places(run: Path) -> dict[str, tuple[str, ...]]:
     """Where a row's networks lie in a run's folder: the first of these that is there.
 
-    What was fine-tuned against collisions counts as ours only if the fabric had been optimised before.
+    What was trained last counts as ours only if the fabric had been optimised before.
     """
-    optimised = (run / "fabric.json").is_file()
+    optimised, last = (run / "fabric.json").is_file(), ("collided", "fabric")
     return {
         DATA_ONLY: ("rows/data_only",),
         SNUG: ("rows/snug",),
         NO_DATA: ("rows/no_data",),
-        NO_PHYSICS: ("rows/default_physics", "train") if optimised else ("rows/default_physics", "collided", "train"),
-        OURS: ("rows/ours", "collided", "fabric") if optimised else ("rows/ours",),
+        NO_PHYSICS: ("rows/default_physics", "train") if optimised else ("rows/default_physics", *last, "train"),
+        OURS: ("rows/ours", *last) if optimised else ("rows/ours",),
     }
 
 

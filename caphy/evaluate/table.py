@@ -21,7 +21,7 @@ def table_lines(document: Mapping[str, Any]) -> list[str]:
     rows = document["rows"]
     heads, cells = figure_rows(document)
     class_heads, by_class = class_rows(document)
-    lines = [f"{len(document['scans'])} scans held out, {document['trained_on']} trained on", document["definition"]]
+    lines = [f"scans held out: {len(document['scans'])}, trained on: {document['trained_on']}", document["definition"]]
     lines += [f"perceptual: {document['perceptual']}"] if document["perceptual"] else []
     lines += ["", *_aligned([heads, *cells])]
     lines += ["", "Chamfer [mm] by motion class:", *_aligned([class_heads, *by_class])]

@@ -20,6 +20,7 @@ from small_session import small_session
 
 from caphy.cli import main
 from caphy.commands.fit_scans import cloth_shares, left_out, segment_scans
+from caphy.effects.model import Model
 from caphy.io.bundle import read_bundle
 from caphy.io.poses.canonical import write_poses
 from caphy.io.procedural import procedural_motion
@@ -99,6 +100,14 @@ def test_it_ends_with_an_avatar_and_a_page(finished):
     assert not re.search(r'(?:src|href)="(?!data:)', page)  # nothing from elsewhere
 
 
+def test_the_fabric_that_was_found_is_trained_with(finished):
+    run, _ = finished
+    start, found = (Model.load(run / folder / "upper" / "model.json") for folder in ("train", "collided"))
+    ratio = found.effects["bending_measured"]["bending"] / start.effects["bending_measured"]["bending"]
+    assert ratio == pytest.approx(0.5)
+    assert "0.40 to 0.60" in (run / "report.html").read_text()
+
+
 def test_every_bad_scan_is_named_with_a_remedy_and_the_rest_goes_on(finished):
     run, _ = finished
     reasons = left_out(run)
@@ -119,6 +128,7 @@ def test_only_held_out_scans_are_evaluated(finished):
     template = rows["skinned template"]["all"]
     assert 0 < template["mean_mm"]["mean"] <= template["clothes_chamfer_mm"]["mean"] < 30
     assert rows["SNUG"]["missing"] and not rows["SNUG"]["all"]
+    assert rows["ours"]["all"] and rows["ours without optimised physics"]["all"]
     assert (run / "evaluation" / f"{split['held_out'][0]}.png").stat().st_size > 10_000
 
 
@@ -136,15 +146,15 @@ def test_killed_in_training_it_ends_the_same(finished, world):
     run, _ = finished
     broken = world / "broken"
     shutil.copytree(run, broken)
-    for name in ("train", "collide", "export", "evaluate", "report"):
+    for name in ("train", "fabric", "refine", "collide", "export", "evaluate", "report"):
         (broken / "stages" / f"{name}.json").unlink()
-    for name in ("train", "collided", "avatar"):
+    for name in ("train", "fabric", "collided", "avatar"):
         shutil.rmtree(broken / name)
     script = [sys.executable, str(Path(__file__).with_name("quick_fit.py")), str(world / "scans"), "-o", str(broken)]
     command = [*script, "--poses", str(world / "motions")]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         try:
-            reached, deadline = broken / "train" / "lower" / "network.safetensors", time.monotonic() + 300
+            reached, deadline = broken / "train" / "lower" / "network.safetensors", time.monotonic() + 600
             while not reached.exists() and process.poll() is None and time.monotonic() < deadline:
                 time.sleep(0.01)
         finally:
@@ -206,3 +216,42 @@ def test_a_whole_set_in_the_wrong_unit_is_told_which_would_fit(world, tmp_path, 
     told = capsys.readouterr().err
     assert 'try unit = "mm"' in told and "millimetres" in told and "stage check" in told
     assert os.listdir(tmp_path / "run") == ["stages"]
+
+
+def test_an_avatar_is_a_row_like_the_networks_it_was_made_of(finished, tmp_path, capsys):
+    run, _ = finished
+    for name in ("upper.npz", "lower.npz", "subject_body.npz", "split.json"):
+        shutil.copy(run / name, tmp_path)
+    shutil.copytree(run / "points", tmp_path / "points")
+    (scan,) = json.loads((run / "split.json").read_text())["held_out"]
+    (tmp_path / "classes.json").write_text(json.dumps({scan: "standing"}))
+    rows = [word for row in ("collided", "avatar") for word in ("--row", f"{row}={run / row}")]
+    labels, classes = run / "labels", tmp_path / "classes.json"
+    command = ["evaluate", str(run / "scans"), "-o", str(tmp_path), "--labels", str(labels), "--classes", str(classes)]
+    assert main([*command, *rows, "--pictures", "0"]) == 0
+    assert "standing (1;" in capsys.readouterr().out
+    document = json.loads((tmp_path / "evaluation.json").read_text())
+    one, two = (row["all"] for row in document["rows"] if row["name"] in ("collided", "avatar"))
+    assert one["clothes_chamfer_mm"]["mean"] == pytest.approx(two["clothes_chamfer_mm"]["mean"], abs=0.1)
+    assert one["clothes_chamfer_mm"]["mean"] != document["rows"][0]["all"]["clothes_chamfer_mm"]["mean"]
+
+
+def test_networks_of_another_subject_are_no_row(finished, tmp_path, capsys):
+    run, _ = finished
+    stranger = tmp_path / "stranger"
+    for kind, other in (("upper", "lower"), ("lower", "upper")):
+        shutil.copytree(run / "collided" / other, stranger / kind)
+    given = ["evaluate", str(run / "scans"), "-o", str(run), "--labels", str(run / "labels"), "--pictures", "0"]
+    before = (run / "evaluation.json").read_bytes()
+    assert main([*given, "--row", f"stranger={stranger}"]) == 0
+    assert re.search(r"stranger: .*was trained on another template", capsys.readouterr().out)
+    (run / "evaluation.json").write_bytes(before)
+
+
+def test_weights_that_are_not_there_are_refused(finished, capsys):
+    run, _ = finished
+    given = ["evaluate", str(run / "scans"), "-o", str(run), "--labels", str(run / "labels")]
+    assert main([*given, "--vgg", "none.pth"]) == 2
+    assert "none.pth: there is no such file" in capsys.readouterr().err
+    assert main([*given[:2], "-o", str(run / "scans"), "--labels", str(run / "labels")]) == 2
+    assert "split.json" in capsys.readouterr().err
