@@ -44,22 +44,27 @@ def frame() -> BodyModel:
     )
 
 
-def panel(side: int) -> Garment:
-    """The panel of ``side`` x ``side`` vertices, held along two edges; weft runs from bar to bar."""
-    u, v = np.meshgrid(*[np.linspace(0, SIZE, side)] * 2, indexing="ij")
-    flat, index = np.stack([u, v], -1).reshape(-1, 2), np.arange(side * side).reshape(side, side)
+def panel(rows: int) -> Garment:
+    """The panel in ``rows`` rows of vertices from bar to bar, along which the weft runs; held along the bars.
+
+    Triangles are as good as equilateral, as those of garments are: hinges on squares with diagonals bend otherwise.
+    """
+    step = SIZE / (rows - 1)
+    columns = round(SIZE / (2 * step / np.sqrt(3))) + 1
+    i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    flat = np.stack([i * step, (j + 0.5 * (i % 2)) * SIZE / (columns - 0.5)], -1).reshape(-1, 2)
+    index, odd = np.arange(rows * columns).reshape(rows, columns), (np.arange(rows - 1) % 2 == 1)[:, None, None]
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    turned = (np.add.outer(np.arange(side - 1), np.arange(side - 1)) % 2 == 1)[..., None]
-    first = np.where(turned, np.stack([a, b, d], -1), np.stack([a, b, c], -1))
-    second = np.where(turned, np.stack([b, c, d], -1), np.stack([a, c, d], -1))
+    first = np.where(odd, np.stack([a, b, c], -1), np.stack([a, b, d], -1))
+    second = np.where(odd, np.stack([a, c, d], -1), np.stack([b, c, d], -1))
     faces = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)]).astype(np.int32)
     weights = np.zeros((len(flat), JOINT_COUNT))
     weights[:, 0] = 1
-    held = ((flat[:, 0] == 0) | (flat[:, 0] == SIZE)).astype(float)
+    held = np.isclose(flat[:, 0] % SIZE, 0, atol=1e-9) | np.isclose(flat[:, 0], SIZE)
     vertices = np.column_stack([(flat[:, 0] - SIZE / 2) * (1 - SLACK), np.zeros(len(flat)), SIZE / 2 - flat[:, 1]])
-    regions = np.full(len(flat), "panel")
+    regions, none = np.full(len(flat), "panel"), np.zeros(len(flat))
     return Garment(
-        "panel", vertices, faces, flat[faces], weights, regions, layer_thickness=np.zeros(len(flat)), attached=held
+        "panel", vertices, faces, flat[faces], weights, regions, layer_thickness=none, attached=held.astype(float)
     )
 
 
@@ -79,7 +84,7 @@ class Stills:
     """The panel of a fabric at rest in turned frames, by the solver on a mesh of its own."""
 
     model: Model
-    side: int
+    rows: int
     poses: np.ndarray
     seed: int = 0
     kept: Path | None = None
@@ -88,10 +93,10 @@ class Stills:
     """Vertices (V, 3) [m] of each still."""
 
     def __post_init__(self) -> None:
-        self.truth = panel(self.side)
+        self.truth = panel(self.rows)
         cloth = Cloth.of(self.truth, self.model.density)
         newton = Newton(Potential(self.model, cloth), tolerance=1e-6)
-        key = f"{self.side} {self.seed} {self.model.to_json()}"
+        key = f"{self.rows} {self.seed} {self.model.to_json()}"
         if self.kept is not None and self.kept.is_file():
             found = read_npz(self.kept)
             self.cloth = list(found["x"][: len(self.poses)]) if str(found["key"]) == key else []

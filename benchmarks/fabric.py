@@ -23,6 +23,7 @@ from caphy.effects.presets import fabric_model
 from caphy.fabric.certainty import Certainty
 from caphy.fabric.coefficients import Coefficients
 from caphy.fabric.rounds import Fitted, Objective, fit_fabric, ratios
+from caphy.fabric.subdivision import Subdivision
 from caphy.material.fabrics import fabric
 
 
@@ -44,7 +45,7 @@ class Options:
     density: float = 1.25
     start: str = "gray-interlock"
     fine: int = 21
-    """Vertices along a side of the truth, and of the fit:"""
+    """Rows of vertices of the truth, and of the fit:"""
     coarse: int = 10
     seed: int = 1
     stills: Path | None = None
@@ -59,10 +60,11 @@ def main(options: Options) -> None:
     planted = Fabric(known.name, options.stretch, options.bend, options.density * known.density).model
     start = replace(fabric_model(options.start), density=planted.density)
     stills = Stills(planted, options.fine, turns(options.count, options.seed), options.seed, options.stills)
+    coarse = panel(options.coarse)
     print(
         f"{options.count} stills of {options.planted} (stretching x {options.stretch:g}, bending x {options.bend:g}, "
-        f"density x {options.density:g}) on {options.fine**2} vertices; fitted on {options.coarse**2}, the mesh's error "
-        f"told by {(2 * options.coarse - 1) ** 2}",
+        f"density x {options.density:g}) on {len(stills.truth.vertices)} vertices; fitted on "
+        f"{len(coarse.vertices)}, the mesh's error told by {len(Subdivision.of(coarse).garment.vertices)}",
         flush=True,
     )
     fitted = _print_recovery(options, stills, planted, start)

@@ -44,6 +44,8 @@ class FabricCommand:
     """"response", or "force" for CaPhy's squared gradient, which noise biases (docs/fabric.md)."""
     rounds: int = 12
     """Rounds at most."""
+    mesh_corrections: int = 1
+    """Times that each scan is solved on a mesh four times as fine, to take off what the mesh does; 0 saves time."""
     scans: int = 60
     """Scans used at most, spread over those there are."""
     alternations: int = 0
@@ -60,6 +62,7 @@ def main(arguments: list[str]) -> int:
     from caphy.register.points import read_points
     from caphy.register.result import write_text
 
+    base = _base(options)
     subject = Subject.read(options.run)
     points = read_points(options.run, "train")
     document: dict[str, Any] = {"format": "caphy-fabric-1", "garments": {}, "failed": {}}
@@ -68,7 +71,7 @@ def main(arguments: list[str]) -> int:
         if kind not in subject.garments:
             continue
         try:
-            found, model, start = _fit(options, subject, points, kind)
+            found, model, start = _fit(options, base, subject, points, kind)
         except CaphyError as error:
             print(f"without {kind}: {error}")
             document["failed"][kind] = str(error)
@@ -95,13 +98,11 @@ def main(arguments: list[str]) -> int:
 
 
 def _check(options: FabricCommand) -> None:
-    from caphy.material.fabrics import fabric
-
     if options.objective not in ("response", "force"):
         raise CaphyError(f"--objective must be response or force, got {options.objective!r}")
-    for name, least in (("rounds", 1), ("scans", 3), ("steps", 1), ("alternations", 0)):
+    for name, least in (("rounds", 1), ("scans", 3), ("steps", 1), ("alternations", 0), ("mesh_corrections", 0)):
         if getattr(options, name) < least:
-            raise CaphyError(f"--{name} must be at least {least}, got {getattr(options, name)}")
+            raise CaphyError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(options, name)}")
     for name in ("upper_density", "lower_density"):
         value = getattr(options, name)
         if value is not None and not 0.01 <= value <= 5:
@@ -109,15 +110,19 @@ def _check(options: FabricCommand) -> None:
     wrong = [kind for kind in options.garments if kind not in KINDS]
     if wrong:
         raise CaphyError(f"--garments must be among upper and lower, got {wrong[0]!r}")
-    if options.model is None:
-        fabric(options.fabric)
 
 
-def _start(options: FabricCommand, kind: str) -> Model:
+def _base(options: FabricCommand) -> Model:
     from caphy.effects.model import Model
     from caphy.effects.presets import fabric_model
+    from caphy.fabric.coefficients import Coefficients
 
     model = fabric_model(options.fabric) if options.model is None else Model.load(options.model)
+    Coefficients.of(model)  # raises unless it can be fitted
+    return model
+
+
+def _start(options: FabricCommand, model: Model, kind: str) -> Model:
     density = options.upper_density if kind == "upper" else options.lower_density
     if density is None:
         print(f"note: {kind}: the cloth is taken to weigh {model.density:g} kg/m^2; all stiffnesses go with that")
@@ -125,12 +130,14 @@ def _start(options: FabricCommand, kind: str) -> Model:
     return replace(model, density=density)
 
 
-def _fit(options: FabricCommand, subject: Subject, points: Any, kind: str) -> tuple[dict[str, Any], Model, Model]:
+def _fit(
+    options: FabricCommand, base: Model, subject: Subject, points: Any, kind: str
+) -> tuple[dict[str, Any], Model, Model]:
     from caphy.fabric.certainty import Certainty
     from caphy.fabric.record import record, settled_model
     from caphy.fabric.rounds import fit_fabric
 
-    start, worn = _start(options, kind), _worn(options, subject, points, kind)
+    start, worn = _start(options, base, kind), _worn(options, subject, points, kind)
     objective: Objective = "force" if options.objective == "force" else "response"
 
     def say(number: int, done: int, total: int) -> None:
@@ -138,11 +145,12 @@ def _fit(options: FabricCommand, subject: Subject, points: Any, kind: str) -> tu
             print(f"{kind}: round {number + 1} of at most {options.rounds}, scan {done} of {total}", flush=True)
 
     guess = _network(options.run / TRAINED, subject, kind)
-    fitted = fit_fabric(worn, start, options.rounds, objective, guess, say)
+    fitted = fit_fabric(worn, start, options.rounds, objective, guess, say, options.mesh_corrections)
     for number in range(options.alternations):
         model = settled_model(fitted, Certainty.of(fitted), "fabric fitted to scans")
         guess = _trained_on(options, subject, kind, model, number)
-        fitted = _again(fitted, fit_fabric(worn, model, options.rounds, objective, guess, say))
+        after = fit_fabric(worn, model, options.rounds, objective, guess, say, options.mesh_corrections)
+        fitted = _again(fitted, after)
     sure = Certainty.of(fitted)
     model = settled_model(fitted, sure, "fabric fitted to scans at rest", tuple(one.still.name for one in worn))
     return record(fitted, sure, model, objective), model, start

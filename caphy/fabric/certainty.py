@@ -58,7 +58,10 @@ class Certainty:
         middle = [np.log(max(fitted.stiffness[name], 1e-12)) for name in numbers.names]
         low = {name: float(np.exp(m - s)) for name, m, s in zip(numbers.names, middle, spread, strict=True)}
         high = {name: float(np.exp(m + s)) for name, m, s in zip(numbers.names, middle, spread, strict=True)}
-        determined = {name: high[name] / low[name] < WIDEST and _moves(fitted, name) for name in numbers.names}
+        determined = {
+            name: high[name] / low[name] < WIDEST and _moves(fitted, name) and fitted.settling(name)
+            for name in numbers.names
+        }
         return cls(low, high, determined, _entries(fitted, noise, determined))
 
 

@@ -38,7 +38,7 @@ def bending(model: Model, along: str) -> np.ndarray:
     """Bending stiffness k [N m] at :data:`CURVATURES` where the "weft" or the "warp" threads bend (21,)."""
     if "bending_measured" in model.effects:
         table = np.asarray(model.effects["bending_measured"]["bending"], dtype=float)
-        return bending_stiffness(table, np.pi / 2 if along == "weft" else 0.0, CURVATURES)
+        return bending_stiffness(table, np.array(np.pi / 2 if along == "weft" else 0.0), CURVATURES)
     return np.full(len(CURVATURES), float(np.asarray(model.effects["bending"][f"stiffness_{along}"])))
 
 

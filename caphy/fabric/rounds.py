@@ -27,6 +27,8 @@ ROUNDS, CORRECTIONS = 12, 2
 """Rounds at most, and how often the mesh's error is told."""
 SETTLED = 0.01
 """Change of every table's stiffness in a round below which the rounds end."""
+SETTLING = 0.1
+"""Change in the last round from which on a table is not determined, whatever the scans agree on."""
 
 Guess = Callable[[Worn], np.ndarray]
 """Where the cloth may lie in a scan (V, 3) [m]: a network's answer, say."""
@@ -62,14 +64,23 @@ class Fitted:
         values: the numbers found (K,).
         rounds: oldest first; the last one's evidence stands at ``values`` or next to it.
         left_out: scans that could not be used, name -> why.
-        settled: the last round changed next to nothing.
+        change: of each table's stiffness in the last round, effect -> ratio.
     """
 
     numbers: Coefficients
     values: np.ndarray
     rounds: tuple[Round, ...]
     left_out: dict[str, str] = field(default_factory=dict)
-    settled: bool = False
+    change: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the last round changed next to nothing."""
+        return _settled(self.change, SETTLED)
+
+    def settling(self, name: str) -> bool:
+        """Whether the last round changed a table so little that its interval means something."""
+        return _settled({name: self.change.get(name, 1.0)}, SETTLING)
 
     @property
     def model(self) -> Model:
@@ -116,7 +127,8 @@ def fit_fabric(
         model: where to start from.
         rounds: at most so many.
         guess: where to look for the cloth first; the skinned template unless given. It is followed from there.
-        corrections: times that the error of the mesh is told anew, once the rounds have settled; of the response only.
+        corrections: times that the error of the mesh is told, where rounds settle or at equal shares of them; of the
+            response only.
 
     Raises:
         CaphyError: fewer than :data:`FEWEST` scans can be used, or the model has no fabric.
@@ -125,7 +137,7 @@ def fit_fabric(
     scans = _Scans(tuple(worn), numbers, objective, guess, progress)
     values, history = numbers.values, []
     left = corrections if objective == "response" else 0
-    settled = False
+    settled, change = False, {}
     for number in range(rounds):
         said = scans.look(values, number)
         energy = np.sum([one.energy for one in said], axis=0)
@@ -135,13 +147,18 @@ def fit_fabric(
         after = solve(Pooled.of(said), numbers, values)
         change = ratios(numbers, energy, after, values)
         values = after
-        settled = all(abs(np.log(max(ratio, 1e-9))) < SETTLED for ratio in change.values())
-        if left and number < rounds - 1 and (settled or number + 1 >= rounds // 2):
+        settled = _settled(change, SETTLED)
+        due = rounds * (corrections - left + 1) // (corrections + 1)
+        if left and number < rounds - 1 and (settled or number + 1 >= due):
             scans.correct(values)
             left, settled = left - 1, False
         elif settled:
             break
-    return Fitted(numbers, values, tuple(history), scans.left_out, settled)
+    return Fitted(numbers, values, tuple(history), scans.left_out, change)
+
+
+def _settled(change: dict[str, float], limit: float) -> bool:
+    return all(abs(np.log(max(ratio, 1e-9))) < limit for ratio in change.values())
 
 
 class _Scans:
@@ -159,6 +176,7 @@ class _Scans:
     def look(self, values: np.ndarray, number: int) -> tuple[Said, ...]:
         """What every scan says at some values; those that cannot be used are put into ``left_out``, with the reason."""
         said: list[Said] = []
+        self._restless: dict[str, str] = {}
         if self.worn:
             layer = Layer(self.numbers.model(values), Cloth.of(self.worn[0].garment, self.numbers.start.density))
             for done, one in enumerate(self.worn):
@@ -167,7 +185,7 @@ class _Scans:
                 if self.progress is not None:
                     self.progress(number, done + 1, len(self.worn))
         if len(said) < FEWEST:
-            reasons = "".join(f"\n  {name}: {why}" for name, why in self.left_out.items())
+            reasons = "".join(f"\n  {name}: {why}" for name, why in {**self._restless, **self.left_out}.items())
             raise CaphyError(f"at least {FEWEST} scans are needed to fit a fabric, {len(said)} can be used{reasons}")
         return tuple(said)
 
@@ -185,7 +203,10 @@ class _Scans:
         except CaphyError as error:
             self.left_out[name] = str(error)
             return []
-        return [found] if lying.rests and found.count and np.isfinite(found.b).all() else []
+        if lying.rests and found.count and np.isfinite(found.b).all():
+            return [found]
+        self._restless[name] = f"the cloth did not come to rest ({lying.report.residual:.1g} N on the worst vertex)"
+        return []
 
     def correct(self, values: np.ndarray) -> None:
         """Find what the mesh does: the cloth of each scan brought to rest with each face cut in four as well."""

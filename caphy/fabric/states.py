@@ -13,7 +13,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.fabric.attraction import AttractedPotential, Hits, find_hits
 from caphy.fabric.stills import Worn
-from caphy.solve.newton import TOLERANCE, Newton, Report
+from caphy.solve.newton import Newton, Report
 
 Stage = tuple[float, float]
 """How far points are looked for [m], and how hard the cloth is pulled to them [N/m^3]: pressure per distance."""
@@ -29,8 +29,8 @@ SEEK: tuple[Stage, ...] = ((0.06, 5000.0), (0.04, 5000.0), (0.03, 2000.0), (0.02
 STRONG: Stage = (0.02, 500.0)
 """Where a guess lies already, it is drawn back to the scan before it is let go."""
 LET_GO: tuple[Stage, ...] = ((0.02, 100.0), (0.02, WEAK), (0.02, WEAK))
-RESTED = 20.0
-"""Times the solver's tolerance: forces below which a state still counts as at rest."""
+RESTED = 5e-3
+"""Force on the worst vertex [N] up to which cloth counts as at rest: a few vertices' weight."""
 _SEEKING, _RESTING = 8, 25  # most Newton iterations of a stage
 
 
@@ -53,7 +53,7 @@ class Lying:
     @property
     def rests(self) -> bool:
         """Whether the forces are as good as balanced."""
-        return self.report.residual <= RESTED * TOLERANCE
+        return self.report.residual <= RESTED
 
 
 class Layer:

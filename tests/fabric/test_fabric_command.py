@@ -38,7 +38,7 @@ def run(tmp_path_factory) -> Path:
 
 def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
     start = ["--fabric", "tango-red-jet-set", "--upper-density", "0.204"]
-    assert main(["fabric", str(run), *start, "--rounds", "2"]) == 0
+    assert main(["fabric", str(run), *start, "--rounds", "2", "--mesh-corrections", "0"]) == 0
     told = capsys.readouterr().out
     assert "left out: bare" in told
     assert f"--model {run / 'fabric_upper.json'}" in told
@@ -70,6 +70,7 @@ def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
 def test_bad_options_are_refused(run, capsys, options, told):
     assert main(["fabric", str(run), *options]) == 2
     assert told in capsys.readouterr().err
+    assert not (run / "fabric_lower.json").exists()
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
