@@ -43,7 +43,7 @@ def bending(model: Model, along: str) -> np.ndarray:
 
 
 def figures(models: Mapping[str, Model]) -> list[str]:
-    """Four plots as inline SVG: tension and bending of each model, along weft and warp."""
+    """Four plots as inline SVG with captions: tension and bending of each model, along weft and warp."""
     found = []
     for along in ("weft", "warp"):
         curves = {name: tension(model, along) for name, model in models.items()}
@@ -67,7 +67,7 @@ def _plot(title: str, x_label: str, y_label: str, x: np.ndarray, curves: Mapping
         path = _path([across(v) for v in x], [up(float(v)) for v in curve], [False] * len(x))
         body += f'<path class="line {STYLES[number]}" d="{path}"/>'
         body += f'<text class="legend {STYLES[number]}" x="{LEFT + 70 + 90 * number}" y="10">{escape(name)}</text>'
-    return _frame(title, x_label, y_label, body)
+    return f"{_frame(title, x_label, y_label, body)}<figcaption>{title}</figcaption>"
 
 
 STYLES: Sequence[str] = ("line1", "line0", "line2")
