@@ -137,7 +137,7 @@ def _fit(
     from caphy.fabric.record import record, settled_model
     from caphy.fabric.rounds import fit_fabric
 
-    start, worn = _start(options, base, kind), _worn(options, subject, points, kind)
+    start, (worn, left_out) = _start(options, base, kind), _worn(options, subject, points, kind)
     objective: Objective = "force" if options.objective == "force" else "response"
 
     def say(number: int, done: int, total: int) -> None:
@@ -153,7 +153,8 @@ def _fit(
         fitted = _again(fitted, after)
     sure = Certainty.of(fitted)
     model = settled_model(fitted, sure, "fabric fitted to scans at rest", tuple(one.still.name for one in worn))
-    return record(fitted, sure, model, objective), model, start
+    found = record(fitted, sure, model, objective)
+    return {**found, "left_out": left_out | found["left_out"]}, model, start
 
 
 def _again(before: Fitted, after: Fitted) -> Fitted:
@@ -164,7 +165,7 @@ def _again(before: Fitted, after: Fitted) -> Fitted:
     return replace(after, numbers=numbers, rounds=(*before.rounds, *after.rounds))
 
 
-def _worn(options: FabricCommand, subject: Subject, points: Any, kind: str) -> list[Worn]:
+def _worn(options: FabricCommand, subject: Subject, points: Any, kind: str) -> tuple[list[Worn], dict[str, str]]:
     import numpy as np
 
     from caphy.fabric.stills import Still, Worn
@@ -178,11 +179,12 @@ def _worn(options: FabricCommand, subject: Subject, points: Any, kind: str) -> l
     for scan in chosen:
         shown = getattr(scan, kind).astype(float)
         if len(shown) < LEAST_POINTS:
-            print(f"left out: {scan.name}: shows only {len(shown)} points of the {kind} garment")
+            left_out[scan.name] = f"shows only {len(shown)} points of the {kind} garment"
+            print(f"left out: {scan.name}: {left_out[scan.name]}")
             continue
         kept = shown[np.sort(random.permutation(len(shown))[:POINTS])]
         worn.append(Worn(Still(scan.name, kept, scan.pose, scan.transl), subject.body, subject.garments[kind]))
-    return worn
+    return worn, left_out
 
 
 LEAST_POINTS = 200

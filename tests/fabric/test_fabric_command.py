@@ -47,6 +47,7 @@ def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
     assert model.density == 0.204
     assert model.history[-1].note == "fabric fitted to scans at rest"
     document = json.loads((run / "fabric.json").read_text())["garments"]["upper"]
+    assert document["left_out"] == {"bare": "shows only 0 points of the upper garment"}
     assert document["scans"] == 4 and len(document["rounds"]) == 2
     assert len(document["numbers"]) == 39
     assert set(document["stiffness"]) == {"strain_measured", "bending_measured"}
