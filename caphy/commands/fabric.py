@@ -175,7 +175,8 @@ def _worn(options: FabricCommand, subject: Subject, points: Any, kind: str) -> t
         points[i]
         for i in np.unique(np.linspace(0, len(points) - 1, min(options.scans, len(points))).round().astype(int))
     ]
-    worn = []
+    worn: list[Worn] = []
+    left_out: dict[str, str] = {}
     for scan in chosen:
         shown = getattr(scan, kind).astype(float)
         if len(shown) < LEAST_POINTS:
