@@ -11,6 +11,12 @@ from caphy.commands.fit_pictures import all_pictures
 from caphy.commands.fit_scans import CHECKED, left_out, read
 
 PAGE = "report.html"
+UNDONE = {
+    "fabric": "The fabric is the one it started from, for its fit failed:",
+    "collide": "The garments may pass through each other, for fine-tuning against that failed:",
+    "evaluate": "Nothing was evaluated:",
+}
+"""What it means that a stage failed which the avatar can do without."""
 CENTIMETRES = ("sleeve", "length", "leg", "rise", "ease", "sleeve_ease", "neck_width", "neck_depth")
 
 
@@ -63,16 +69,14 @@ def _sentences(run: Path, evaluation: Mapping[str, Any], garments: Mapping[str, 
 def _cautions(run: Path, evaluation: Mapping[str, Any], reasons: Mapping[str, str]) -> list[str]:
     lines = []
     if reasons:
-        lines.append(f"{len(reasons)} scans were left out; the reasons are below.")
-    if not evaluation:
-        lines.append("Nothing was evaluated; the log is in stages/evaluate.log.")
+        lines.append(f"Left out, for reasons given below: {', '.join(reasons)}.")
     absent = [row["name"] for row in evaluation.get("rows", []) if row["missing"]]
     if absent:
         lines.append(f"Rows of the paper's table that this run does not hold: {', '.join(absent)}.")
-    if not (run / "fabric.json").is_file():
-        lines.append("The fabric's parameters are those it started from: they were not optimised.")
-    if not (run / "collided").is_dir():
-        lines.append("The networks were not fine-tuned against collisions of the garments.")
+    for name, what in UNDONE.items():
+        failure = read(run / "stages", f"{name}.json").get("failure")
+        if failure:
+            lines.append(f"{what} {failure.splitlines()[0]} (stages/{name}.log)")
     return lines
 
 

@@ -85,6 +85,11 @@ def segment_scans(run: Path, layout: str) -> None:
     if not used:
         raise CaphyError("no scan shows clothes:\n" + "\n".join(f"  {n}: {why}" for n, why in left_out.items()))
     kinds = [kind for kind, count in shown.items() if count >= WORN * used]
+    if not kinds:
+        raise CaphyError(
+            f"half of the {used} scans must show an upper or a lower garment, got {shown}; are they of one person in "
+            "the same clothes? Look at the labels, or give another --parser"
+        )
     document = {"used": used, "kinds": kinds, "shown": shown, "left_out": left_out}
     write_text(run / LABELLED, json.dumps(document, indent=1))
     print(f"{used} scans labelled; worn: {', '.join(kinds)}")
