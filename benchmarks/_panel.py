@@ -89,6 +89,8 @@ class Stills:
     seed: int = 0
     kept: Path | None = None
     """Where stills are kept, and taken from if made in the same way before (.npz)."""
+    swings: int = 5
+    """Steps of a fifth of a second in which it swings before it is brought to rest."""
     cloth: list[np.ndarray] = field(default_factory=list)
     """Vertices (V, 3) [m] of each still."""
 
@@ -102,7 +104,7 @@ class Stills:
             self.cloth = list(found["x"][: len(self.poses)]) if str(found["key"]) == key else []
         for number in range(len(self.cloth), len(self.poses)):
             random = np.random.default_rng([self.seed, number])
-            self.cloth.append(_settled(newton, self._worn(self.poses[number], self.truth), random))
+            self.cloth.append(_settled(newton, self._worn(self.poses[number], self.truth), self.swings, random))
             if self.kept is not None:
                 write_npz(self.kept, {"key": np.array(key), "x": np.array(self.cloth)})
 
@@ -124,12 +126,12 @@ class Stills:
         return Worn(Still("truth", np.zeros((1, 3)), pose, np.zeros(3)), frame(), garment)
 
 
-def _settled(newton: Newton, worn: Worn, random: np.random.Generator) -> np.ndarray:
+def _settled(newton: Newton, worn: Worn, swings: int, random: np.random.Generator) -> np.ndarray:
     """Where the panel comes to rest (V, 3), swinging first, from a template that is not quite flat."""
     x = torch.from_numpy(worn.skinned() + 1e-3 * random.normal(size=newton.potential.cloth.vertices.shape))
     simulator = Simulator(newton.within(5e-3), worn.motion, ImplicitEuler())
     state = State(0.0, x, torch.zeros_like(x))
-    for _ in range(5):
+    for _ in range(swings):
         state, _ = simulator.advance(state, 0.2)
     x, report = drape(newton, state.x, worn.seen)
     if not report.converged:

@@ -28,7 +28,7 @@ PLANTED = fabric_model("white-swim-solid")
 
 @pytest.fixture(scope="module")
 def stills():
-    return Stills(PLANTED, SIDE, turns(4, 3), 3)
+    return Stills(PLANTED, SIDE, turns(4, 3), 3, swings=0)
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_a_mesh_of_quarters_is_the_same_cloth():
 def test_the_mesh_s_error_is_taken_off():
     """Scans of a finer mesh: at the true fabric a coarse one asks for another, and for less once it is corrected."""
     numbers = Coefficients.of(PLANTED)
-    worn = Stills(PLANTED, 11, turns(3, 4), 4).scans(panel(6), 0.0, spacing=0.01)
+    worn = Stills(PLANTED, 11, turns(3, 4), 4, swings=0).scans(panel(6), 0.0, spacing=0.01)
     scans = _Scans(tuple(worn), numbers, "response", None, None)
     wrong = []
     for _ in range(2):
