@@ -11,6 +11,7 @@ from caphy.conditioning.body import Body, bundled_body, standing_height
 from caphy.conditioning.frame import Did, Frame, Summary
 from caphy.conditioning.gate import is_path_strange, is_pose_strange, names, strange_joints
 from caphy.conditioning.ground import Ground
+from caphy.conditioning.likelihood import MOST, unlikeliness
 from caphy.conditioning.quaternions import between, exponential, heading, logarithm, product, rotated
 from caphy.conditioning.reach import within_reach
 from caphy.conditioning.seen import camera_rotation, checked
@@ -139,6 +140,9 @@ class Conditioner:
     ) -> list[Frame]:
         """Take a pose in; returns the frames of a long gap that it ends."""
         turns, beyond = self._within_reach(turns)
+        if (far := unlikeliness(logarithm(turns), trust)) > MOST:
+            self._refuse(f"it is no posture of a body (squared distance {far:.0f}, at most {MOST:.0f})", "posture")
+            return []
         if (beyond & (trust > 0)).any():
             self._did |= Did.LIMITED
             self._notes.append(f"turned too far: {names(beyond & (trust > 0))}")
