@@ -79,16 +79,17 @@ def test_lines_are_preferred_and_kept_until_the_scene_changes() -> None:
 
 
 def test_a_few_upright_lines_among_many_others_say_nothing() -> None:
-    """Nine posts agree, but most of what is near upright leans: a fence, a floor seen askew, a person."""
+    """Nine posts agree, but most of what is near upright leans this way and that: grass, a floor seen askew, people."""
     random = np.random.default_rng(2)
     picture = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
     for i in range(9):
-        cv2.line(picture, (60 + 130 * i, 330), (60 + 130 * i, 390), (220,) * 3, 5, cv2.LINE_AA)
+        cv2.line(picture, (60 + 130 * i, 300), (60 + 130 * i, 420), (220,) * 3, 5, cv2.LINE_AA)
     alone = up_from_lines(picture, FOCAL, LEVEL_UP)
     assert alone is not None
     assert _degrees(alone, LEVEL_UP) < 2
-    for i in range(42):
-        x, side = 20 + 30 * i, random.choice([-1, 1])
-        top, lean = (20, 420)[i % 2], int(side * random.uniform(45, 110))
-        cv2.line(picture, (x, top), (x + lean, top + 280), (170,) * 3, 3, cv2.LINE_AA)
+    for i in range(96):
+        lean = np.radians(random.choice([-1, 1]) * random.uniform(4, 24))
+        x, y = 40 + 50 * (i % 24), (10, 80, 150, 500)[i // 24]
+        end = int(x + 58 * np.sin(lean)), int(y + 58 * np.cos(lean))
+        cv2.line(picture, (x, y), end, (170,) * 3, 5, cv2.LINE_AA)
     assert up_from_lines(picture, FOCAL, LEVEL_UP) is None
