@@ -24,6 +24,10 @@ SIZE, SLACK = 0.30, 0.03
 """Side of the panel [m], and by how much the bars stand nearer to each other than it is wide."""
 
 
+SWINGS = 5
+"""Steps of a fifth of a second in which it swings before it is brought to rest; without them it rests in odd folds."""
+
+
 def frame() -> BodyModel:
     """A box 60 cm below the panel, turned by the root alone; the panel never touches it."""
     corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.7, -0.6) for z in (-0.1, 0.1)])
@@ -89,8 +93,6 @@ class Stills:
     seed: int = 0
     kept: Path | None = None
     """Where stills are kept, and taken from if made in the same way before (.npz)."""
-    swings: int = 5
-    """Steps of a fifth of a second in which it swings before it is brought to rest."""
     cloth: list[np.ndarray] = field(default_factory=list)
     """Vertices (V, 3) [m] of each still."""
 
@@ -104,7 +106,7 @@ class Stills:
             self.cloth = list(found["x"][: len(self.poses)]) if str(found["key"]) == key else []
         for number in range(len(self.cloth), len(self.poses)):
             random = np.random.default_rng([self.seed, number])
-            self.cloth.append(_settled(newton, self._worn(self.poses[number], self.truth), self.swings, random))
+            self.cloth.append(_settled(newton, self._worn(self.poses[number], self.truth), random))
             if self.kept is not None:
                 write_npz(self.kept, {"key": np.array(key), "x": np.array(self.cloth)})
 
@@ -126,12 +128,12 @@ class Stills:
         return Worn(Still("truth", np.zeros((1, 3)), pose, np.zeros(3)), frame(), garment)
 
 
-def _settled(newton: Newton, worn: Worn, swings: int, random: np.random.Generator) -> np.ndarray:
+def _settled(newton: Newton, worn: Worn, random: np.random.Generator) -> np.ndarray:
     """Where the panel comes to rest (V, 3), swinging first, from a template that is not quite flat."""
     x = torch.from_numpy(worn.skinned() + 1e-3 * random.normal(size=newton.potential.cloth.vertices.shape))
     simulator = Simulator(newton.within(5e-3), worn.motion, ImplicitEuler())
     state = State(0.0, x, torch.zeros_like(x))
-    for _ in range(swings):
+    for _ in range(SWINGS):
         state, _ = simulator.advance(state, 0.2)
     x, report = drape(newton, state.x, worn.seen)
     if not report.converged:

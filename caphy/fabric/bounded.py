@@ -17,6 +17,8 @@ LOOSE = 30.0
 """That of a table's scale, of the start's."""
 NUISANCE = 3.0
 """That of the contact's numbers, in their sizes."""
+LIKELY = 1e-3
+"""Least share of the mean squared residual that counts as noise, where scans agree to the last."""
 FASTEST = 2.5
 """A number grows or shrinks at most this many times in a round, for the response is not linear."""
 
@@ -44,12 +46,14 @@ class Pooled:
         w = np.ones(len(said)) if weight is None else weight
         a = np.einsum("s,skl->kl", w, np.array([one.a for one in said]))
         b = w @ np.array([one.b for one in said])
-        step = np.linalg.lstsq(a + 1e-9 * np.trace(a) / len(a) * np.eye(len(a)), b, rcond=None)[0]
-        left = np.array([one.b - one.a @ step for one in said])
-        size = np.sqrt(np.maximum(np.diag(a), 1e-30))
-        spread, alone = np.einsum("s,sk->k", w, (left / size) ** 2), (np.diag(a) > 1e-12 * np.diag(a).max())
+        size = np.sqrt(np.diag(a))
+        told = size > 0
+        scale = np.where(told, size, 1.0)
+        ridge = 1e-9 * np.eye(len(b))
+        step = np.linalg.solve(a / scale / scale[:, None] + ridge, b / scale) / scale
+        left = np.array([one.b - one.a @ step for one in said]) / scale
         white = sum(one.c for one in said) / max(sum(one.count for one in said), 1)
-        noise = max(float(np.median(spread[alone])), white) if alone.any() else max(white, 1e-30)
+        noise = max(float(np.median((w @ left**2)[told])) if told.any() else 0.0, LIKELY * white, 1e-30)
         return cls(a, b, noise)
 
 

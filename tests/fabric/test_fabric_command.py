@@ -23,7 +23,7 @@ def run(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     write_npz(folder / SUBJECT_BODY, body_arrays(frame()))
     panel(SIDE).save(folder / "upper.npz")
-    stills = Stills(fabric_model("white-swim-solid"), SIDE, turns(4, 5), 5, swings=0)
+    stills = Stills(fabric_model("white-swim-solid"), SIDE, turns(4, 5), 5)
     nothing = np.zeros((0, 3), np.float32)
     names = []
     for worn in stills.scans(panel(SIDE), 0.0005, spacing=0.015):

@@ -28,7 +28,7 @@ PLANTED = fabric_model("white-swim-solid")
 
 @pytest.fixture(scope="module")
 def stills():
-    return Stills(PLANTED, SIDE, turns(4, 3), 3, swings=0)
+    return Stills(PLANTED, SIDE, turns(4, 3), 3)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_a_planted_fabric_is_found_from_a_wrong_one(scans):
     """No noise and the mesh of the truth: both tables' stiffness within 10 %, from half and from twice of it."""
     numbers = Coefficients.of(PLANTED)
     factor = np.where(numbers.group == 0, 0.5, 2.0)
-    fitted = fit_fabric(scans, numbers.model(factor * numbers.values), rounds=6, corrections=0)
+    fitted = fit_fabric(scans, numbers.model(factor * numbers.values), rounds=5, corrections=0)
     found = ratios(fitted.numbers, fitted.energy, fitted.values, numbers.values)
     assert found == pytest.approx({"strain_measured": 1.0, "bending_measured": 1.0}, abs=0.1)
     sure = Certainty.of(fitted)
@@ -157,7 +157,7 @@ def test_a_mesh_of_quarters_is_the_same_cloth():
 def test_the_mesh_s_error_is_taken_off():
     """Scans of a finer mesh: at the true fabric a coarse one asks for another, and for less once it is corrected."""
     numbers = Coefficients.of(PLANTED)
-    worn = Stills(PLANTED, 11, turns(3, 4), 4, swings=0).scans(panel(6), 0.0, spacing=0.01)
+    worn = Stills(PLANTED, 11, turns(3, 4), 4).scans(panel(6), 0.0, spacing=0.01)
     scans = _Scans(tuple(worn), numbers, "response", None, None)
     wrong = []
     for _ in range(2):
@@ -167,7 +167,9 @@ def test_the_mesh_s_error_is_taken_off():
         wrong.append(np.abs(np.log(list(found.values()))))
         scans.correct(numbers.values)
     assert len(scans.mesh) == 3
-    assert (wrong[1] < 0.6 * wrong[0]).all(), wrong
+    stretching, bending = np.transpose(wrong)
+    assert stretching[1] < 0.5 * stretching[0]
+    assert bending[1] < bending[0]
 
 
 def _said(numbers: Coefficients, told: np.ndarray, wanted: np.ndarray, seed: int) -> Said:
