@@ -327,10 +327,10 @@ class Viewer {
   follow(name) {
     document.body.classList.add("feed");
     find("source").textContent = `feed ${name}`;
-    find("live").hidden = false;
+    this.model.root.visible = false; // nobody is there yet
     this.feed = new Feed(this.avatar.id, name, {
       heard: (pose, place, garments) => this.heardFeed(pose, place, garments),
-      waiting: (text) => this.state.gone(text),
+      waiting: (text) => { find("live").hidden = true; this.state.gone(text); },
       refused: (text) => this.state.error(text),
     });
   }
@@ -341,10 +341,13 @@ class Viewer {
     this.feed = null;
     document.body.classList.remove("feed");
     find("live").hidden = true;
+    this.model.root.visible = true;
   }
 
   heardFeed(pose, place, garments) {
     if (this.state.kind === "gone") this.state.clear();
+    find("live").hidden = false;
+    this.model.root.visible = true;
     for (const [name, vertices] of garments) this.model.garments.get(name)?.vertices.set(vertices);
     this.model.pose(pose, place, pose, place, 0);
     const isFirst = this.shown === null;

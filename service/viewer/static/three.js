@@ -1,4 +1,4 @@
-/* built from sources 819959ce0d4a28371923fefd74661fc2b94a2beb2389729f35bc5ac93925afb9 */
+/* built from sources ffdf495b42a20e8b71b57e74495586cba99535d07cf78160a43bb1cd87b8d539 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
