@@ -22,9 +22,11 @@ from caphy.training.track import Track
 
 EPOCHS = 10
 """Epochs of fine-tuning (CaPhy, section 3.5)."""
-LEAST_STEPS = 40
+LEAST_STEPS = 30
 """Steps of an epoch of random poses, and of one of the scans', at least."""
 LEARNING_RATE = 5e-4
+STRONGEST = 2.0
+"""Largest gradient of the contact in gradients of all else: a pose in which much collides must not undo the others."""
 DEEP = 0.001
 """A vertex deeper than this on the wrong side of another garment counts as a collision [m]."""
 
@@ -75,13 +77,21 @@ class Collider:
         own = torch.stack([loss.mean() for _, loss in results]).sum()
         self._require_finite(own.detach())
         contact = self.layers([x for x, _ in results]).mean()
-        loss = own + contact
-        self.optimizer.zero_grad()
-        loss.backward()
-        self._require_finite(*(p.grad for p in self.learners.parameters() if p.grad is not None))
+        self._descend(own, contact)
         self.optimizer.step()
         self.done, self.contact = self.done + 1, float(contact.detach())
-        return float(loss.detach())
+        return float(own.detach()) + self.contact
+
+    def _descend(self, own: Tensor, contact: Tensor) -> None:
+        """Set gradients: those of the garments' own losses, and the contact's as far as they do not drown them."""
+        parameters = list(self.learners.parameters())
+        pull = torch.autograd.grad(own, parameters, retain_graph=True)
+        push = torch.autograd.grad(contact, parameters, allow_unused=True, materialize_grads=True)
+        self._require_finite(*pull, *push)
+        size = [torch.stack([g.norm() for g in gradient]).norm() for gradient in (pull, push)]
+        share = (STRONGEST * size[0] / size[1].clamp_min(1e-30)).clamp_max(1)
+        for parameter, one, other in zip(parameters, pull, push, strict=True):
+            parameter.grad = one + share * other
 
     def run(self) -> None:
         """Fine-tune to the end, saving after every epoch."""

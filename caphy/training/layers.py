@@ -20,9 +20,10 @@ STIFFNESS = 1e8
 GAP = 0.004
 """Distance below which two layers push each other apart [m]; they come to rest just inside."""
 NEIGHBOURHOOD = 0.10
-"""Cloth within this of the other garment, both at rest on the T-posed body, may meet it [m].
+"""Two places of two garments may meet if they lie within this of each other at rest on the T-posed body [m].
 
-It leaves out what only meets where the body meets itself, as a sleeve does on a hip: there is no room to make."""
+It leaves out what only meets where the body meets itself, as a sleeve on a hip or a shirt's front on a raised thigh:
+there is no room to make."""
 REACH = 0.04
 """Cloth farther than this behind the other garment belongs to another side of the body [m]."""
 ON_EDGE = 1e-6
@@ -68,12 +69,12 @@ class Pair:
     def sides(self, inner: np.ndarray, outer: np.ndarray) -> tuple[Side, Side]:
         """Outer vertices (V, 3) over the inner surface, and inner vertices (W, 3) under the outer one [m].
 
-        Only where they meet: the nearest point lies within reach and on no open edge, beyond which there is nothing
-        to be outside of.
+        Only where they meet: the nearest point lies within reach, near it at rest too, and on no open edge, beyond
+        which there is nothing to be outside of.
         """
         over = _side(outer, self.near[1], inner, self.surfaces[0], self.rims[0], 1.0)
         under = _side(inner, self.near[0], outer, self.surfaces[1], self.rims[1], -1.0)
-        return over, under
+        return _neighbours(over, self.outer, self.inner), _neighbours(under, self.inner, self.outer)
 
     def energy(self, inner: Tensor, outer: Tensor) -> Tensor:
         """Energy [J] of one frame, vertices (W, 3) and (V, 3), differentiable in both.
@@ -133,6 +134,13 @@ def _side(x: np.ndarray, near: np.ndarray, others: np.ndarray, surface: Surface,
     meets = ~(on_edge | on_rim) & (np.abs(found.distance) < REACH)
     parts = (near, corners, share, found.normal, sign * np.asarray(found.distance))
     return Side(*(np.asarray(part)[meets] for part in parts))
+
+
+def _neighbours(side: Side, mine: Cloth, others: Cloth) -> Side:
+    """Those that lie near each other at rest."""
+    point = np.einsum("nk,nkc->nc", side.share, others.vertices[side.corners])
+    near = np.linalg.norm(mine.vertices[side.vertex] - point, axis=1) < NEIGHBOURHOOD
+    return Side(*(part[near] for part in side))
 
 
 def _push(side: Side, x: Tensor, others: Tensor, sign: float, cloth: Cloth) -> Tensor:

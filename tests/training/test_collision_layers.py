@@ -50,6 +50,8 @@ def test_only_cloth_that_may_meet_is_looked_at():
     pair = Pair.of(inner, cylinder(0.30, -0.1, 0.1))
     assert len(pair.depths(inner.vertices, outer.vertices)) == 0
     pair = Pair.of(inner, outer)
+    assert len(pair.depths(inner.vertices, outer.vertices)) > 100
+    assert len(pair.depths(inner.vertices, outer.vertices + np.array([0, 0.12, 0]))) == 0  # other places than at rest
     assert len(pair.depths(inner.vertices, outer.vertices * (0.15 - 2 * REACH) / 0.152)) == 0
 
 
