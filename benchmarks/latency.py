@@ -32,6 +32,7 @@ from export.parity import single_thread_session
 from service import protocol
 from service.avatars import Avatar
 from service.frames import Wanted, answer, require_valid
+from service.huge_pages import onto_huge_pages
 from service.settings import Settings
 
 SIZES = (1000, 4424, 12000)
@@ -124,6 +125,7 @@ def compare(count: int, speed: float) -> None:
     error = worst_error(network, head, hidden_states(network, [procedural_motion(seed=2, seconds=10)]))
     fast = single_thread_session(garment_graph(network, head, "fast").SerializeToString())
     plain = single_thread_session(straightforward_graph(network).SerializeToString())
+    onto_huge_pages()
     print(f"\n{count:,} vertices, {len(network.driving)} driving joints, head of rank {RANK}: "
           f"worst vertex {1e3 * error:.3f} mm from the full head on a held-out motion")  # fmt: skip
     print(f"  {'':38}{'1 frame: median':>16}{'p99':>8}{'ratio':>7}   {'of 60, each: median':>23}{'p99':>8}{'ratio':>7}")

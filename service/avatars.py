@@ -13,6 +13,7 @@ from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, AvatarBundle, BundledGarment, read_bundle
 from service.engine import GarmentEngine
 from service.errors import Problem
+from service.huge_pages import onto_huge_pages
 from service.metrics import resident_bytes
 
 
@@ -79,6 +80,9 @@ def load_avatar(place: Path, chunk: int) -> Avatar:
         avatar = Avatar(place.name, bundle, chunk, version)
     except CaphyError as error:
         raise CaphyError(f"{place}: {error}") from error
+    threading.Thread(
+        target=onto_huge_pages, daemon=True
+    ).start()  # takes longer than all the rest; frames need not wait
     avatar.loaded_bytes = max(0, resident_bytes() - before)
     avatar.loaded_seconds = perf_counter() - started
     return avatar
