@@ -97,12 +97,6 @@ def _print_recovery(options: Options, stills: Stills, planted: Model, start: Mod
             f"  {name:17s} start {before[name]:.2f} of the truth, found {found:.3f} (95 %: {said})"
             f"{'' if sure.determined[name] else ', not determined'}"
         )
-    print(f"  determined one by one: {int(sure.entries.sum())} of {len(sure.entries)} numbers:")
-    for column, known, value, truth in zip(
-        fitted.numbers.columns, sure.entries, fitted.values, Coefficients.of(planted).values, strict=True
-    ):
-        if known:
-            print(f"    {column.name:34s} {value:10.3g} {column.unit:4s} true {truth:10.3g}")
     return fitted
 
 

@@ -80,9 +80,8 @@ def load_avatar(place: Path, chunk: int) -> Avatar:
         avatar = Avatar(place.name, bundle, chunk, version)
     except CaphyError as error:
         raise CaphyError(f"{place}: {error}") from error
-    threading.Thread(
-        target=onto_huge_pages, daemon=True
-    ).start()  # takes longer than all the rest; frames need not wait
+    # It takes longer than all the rest, and frames need not wait for it.
+    threading.Thread(target=onto_huge_pages, daemon=True).start()
     avatar.loaded_bytes = max(0, resident_bytes() - before)
     avatar.loaded_seconds = perf_counter() - started
     return avatar

@@ -226,8 +226,6 @@ def _told(kind: str, found: dict[str, Any]) -> list[str]:
         else:
             low, high = row["interval"]
             lines.append(f"  {name}: {row['over_the_start']:.2f} times the start's (95 %: {low:.2f} to {high:.2f})")
-    known = sum(row["found"] != "not determined" for row in found["numbers"])
-    lines.append(f"  {known} of {len(found['numbers'])} numbers of the tables are determined one by one")
     return lines
 
 

@@ -17,7 +17,7 @@ LOOSE = 30.0
 """That of a table's scale, of the start's."""
 NUISANCE = 3.0
 """That of the contact's numbers, in their sizes."""
-LIKELY = 1e-3
+LIKELY = 1.0
 """Least share of the mean squared residual that counts as noise, where scans agree to the last."""
 FASTEST = 2.5
 """A number grows or shrinks at most this many times in a round, for the response is not linear."""

@@ -14,26 +14,22 @@ from caphy.fabric.rounds import Fitted, ratios
 REPLICAS = 200
 LEVEL = 0.95
 """Of the intervals."""
-TOLD = 0.5
-"""Share of the assumed variance of a number that the scans must take away for it to count as determined."""
 WIDEST = 2.0
 """Upper over lower end of a table's interval from which on its stiffness counts as not determined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """What is known of a fitted fabric.
+    """What is known of a fitted fabric: of each table as a whole. Single entries make up for one another.
 
     Attributes:
         low, high: of each table's stiffness over the start's, effect -> end of the :data:`LEVEL` interval.
         determined: tables whose interval is narrow enough, effect -> whether.
-        entries: whether the scans determine each number beyond its table's scale (K,).
     """
 
     low: dict[str, float]
     high: dict[str, float]
     determined: dict[str, bool]
-    entries: np.ndarray
 
     @classmethod
     def of(cls, fitted: Fitted, seed: int = 0) -> Certainty:
@@ -62,7 +58,7 @@ class Certainty:
             name: high[name] / low[name] < WIDEST and _moves(fitted, name) and fitted.settling(name)
             for name in numbers.names
         }
-        return cls(low, high, determined, _entries(fitted, noise, determined))
+        return cls(low, high, determined)
 
 
 def _moves(fitted: Fitted, name: str) -> bool:
@@ -74,18 +70,3 @@ def _moves(fitted: Fitted, name: str) -> bool:
     count = len(direction)
     information = float(direction @ pooled.a[:count, :count] @ direction) / pooled.noise
     return information > 1.0
-
-
-def _entries(fitted: Fitted, pooled: Pooled, determined: dict[str, bool]) -> np.ndarray:
-    """Which numbers (K,) the scans determine: the variance given them against that assumed, a table's scale aside."""
-    numbers, count = fitted.numbers, len(fitted.values)
-    prior = prior_precision(numbers, fitted.values)
-    information = np.zeros((count + len(CONTACT),) * 2)
-    information += pooled.a / pooled.noise
-    information[:count, :count] += prior
-    information[count:, count:] += np.eye(len(CONTACT)) / NUISANCE**2
-    after = np.diag(np.linalg.inv(information))[:count]
-    grown = np.array([fitted.stiffness[numbers.names[group]] for group in numbers.group])
-    assumed = (PATTERN * grown * numbers.scale) ** 2
-    known = np.array([determined[numbers.names[group]] for group in numbers.group])
-    return known & (after < TOLD * assumed)

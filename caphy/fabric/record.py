@@ -44,10 +44,10 @@ def record(fitted: Fitted, sure: Certainty, model: Model, objective: Objective) 
             "name": column.name,
             "unit": column.unit,
             "start": float(start),
-            "found": float(found) if known else NOT_DETERMINED,
+            "found": float(found) if sure.determined[numbers.names[group]] else NOT_DETERMINED,
         }
-        for column, start, found, known in zip(
-            numbers.columns, numbers.values, fitted.values, sure.entries, strict=True
+        for column, start, found, group in zip(
+            numbers.columns, numbers.values, fitted.values, numbers.group, strict=True
         )
     ]
     return {
@@ -69,7 +69,8 @@ def record(fitted: Fitted, sure: Certainty, model: Model, objective: Objective) 
         ],
         "note": (
             "Scans of cloth at rest tell stiffness over density only; the density was given. Where it should be "
-            "another, all stiffnesses change in proportion."
+            "another, all stiffnesses change in proportion. A table counts as a whole: its entries make up for one "
+            "another, and single ones are not to be trusted."
         ),
         "model": json.loads(model.to_json()),
     }
