@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from caphy.fabric.bounded import NUISANCE, PATTERN, Pooled, prior_precision, solve
-from caphy.fabric.evidence import CONTACT
+from caphy.fabric.bounded import Pooled, solve
 from caphy.fabric.rounds import Fitted, ratios
 
 REPLICAS = 200
