@@ -47,9 +47,12 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     """Fitted numbers by name: value, lower and upper end of the :data:`LEVEL` interval, unit; a relative change has the
     unit 1.
 
-    ``learned`` tells how far mesh and solver lead astray, ``motions`` how many the fit saw.
+    ``learned`` tells how far mesh and solver lead astray, ``motions`` how many the fit saw. The step that was left when
+    the fit ended counts as an error too: effects of a few per cent of the misfit end a good part of it early.
     """
-    doubt = 0.0 if learned is None else learned.doubt(fit.columns, motions)
+    doubt = np.abs(fit.step)
+    if learned is not None:
+        doubt = np.hypot(doubt, learned.doubt(fit.columns, motions))
     found = {}
     for column, change, half in zip(fit.columns, fit.change, half_widths(fit.evidence, doubt), strict=True):
         relative = column.entry is None

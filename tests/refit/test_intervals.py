@@ -8,8 +8,9 @@ import pytest
 from caphy.effects.model import Model
 from caphy.refit.columns import Column
 from caphy.refit.evidence import Evidence
-from caphy.refit.intervals import half_widths
+from caphy.refit.intervals import half_widths, intervals
 from caphy.refit.learned import Learned
+from caphy.refit.study import Fit
 
 DRAG, PRESSURE = Column("mass_damping", "rate"), Column("pressure", "pressure")
 MODEL = Model(0.2, {"gravity": {}})
@@ -68,3 +69,14 @@ def test_doubt_adds_to_what_resampling_shows():
     np.testing.assert_allclose(
         half_widths(known, np.array([0.0, 3.0])), np.hypot(alone, [0.0, 1.959964 * 3.0]), rtol=1e-6
     )
+
+
+def test_a_fit_that_ended_early_says_how_far_it_still_was():
+    """Windows that ask for one unit more than the model has: a standard error beside their own."""
+    known, fitted = windows(np.array([1.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=2.0)
+    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
+    (left,) = np.linalg.solve(known.a.sum(0), known.b.sum(0))
+    value, low, high, unit = intervals(fit, None, 3)["mass_damping.rate"]
+    assert (value, unit) == (2.0, "1/s")
+    wanted = np.hypot(half_widths(known), 1.959964 * left)[0]
+    np.testing.assert_allclose([value - low, high - value], wanted, rtol=1e-5)
