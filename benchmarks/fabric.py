@@ -4,7 +4,7 @@
 
 A panel of 30 cm hangs between two bars of a frame that is turned at random. The truth is the solver's on a finer mesh
 than the fit's, of a fabric that the fit does not know; scans are points at random on it, 6 mm apart, with noise.
-Contact, visibility and errors of the body have no part in it: see ``--worn`` for clothes.
+Contact, visibility and errors of the body have no part in it; worn clothes are not measured.
 """
 
 from __future__ import annotations

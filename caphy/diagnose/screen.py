@@ -25,7 +25,6 @@ class Score:
         gain: share of the misfit that is gone in windows left out of the fit.
         wald: square of the estimate over its error, clustered by window; 0 at a bound.
         change: the linear estimate of its numbers (K,).
-        bold: share of resampled windows in which it comes first.
     """
 
     group: Group

@@ -14,8 +14,7 @@ def test_memory_keeps_its_content():
     random = np.random.default_rng(0)
     many = [random.integers(0, 255, 9 << 20, dtype=np.uint8) for _ in range(3)]
     sums = [int(values.sum()) for values in many]
-    taken = huge_pages.onto_huge_pages()
-    assert taken >= 0
+    huge_pages.onto_huge_pages()
     assert [int(values.sum()) for values in many] == sums
 
 
