@@ -132,6 +132,16 @@ def test_several_workers_have_no_feeds(avatars):
         assert b"caphy serve --workers 1" in socket.receive_bytes()
 
 
+@pytest.mark.parametrize("end", ["", "/send"])
+def test_a_service_with_keys_asks_for_one_at_both_ends(avatars, end):
+    key = "a-key-that-is-long-enough"
+    with TestClient(create_app(Settings(avatars=avatars, api_key=key))) as http:
+        with pytest.raises(WebSocketDisconnect), http.websocket_connect(f"/avatars/shell/feeds/door{end}"):
+            pass
+        with http.websocket_connect(f"/avatars/shell/feeds/door{end}", headers={"authorization": f"Bearer {key}"}):
+            pass
+
+
 def test_the_client_sends_what_arrives(url):
     listening = url.replace("http", "ws") + "/avatars/shell/feeds/cam"
     with FeedClient(url, "shell", "cam", fps=25.0) as feed, connect(listening) as listener:
