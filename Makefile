@@ -41,10 +41,10 @@ bench-monocular: $(VENV)/.dev $(VENV)/.monocular  ## films with known truth thro
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.monocular $(MOCAP) --python $(VENV)/monocular/bin/python
 
 MOCAP ?= cmu_mocap
-MINUTES ?= 34
+STEPS ?= 8000
 UNSEEN = $(MOCAP)/bvh/131_01.bvh $(wildcard $(MOCAP)/bvh_from_expmap/test_*.bvh)
 WEAR   = $(BIN)/caphy train caphy/data/garments/$(1).npz $(MOCAP)/bvh $(MOCAP)/bvh_from_expmap \
-	--held-out $(UNSEEN) --made-up 12 --minutes $(MINUTES) -o runs/$(1)
+	--held-out $(UNSEEN) --made-up 12 --steps $(STEPS) -o runs/$(1)
 avatar: $(VENV)/.dev           ## train the bundled default avatar again: make -j2 avatar MOCAP=folder-of-CMU-clips
 	$(MAKE) runs/trousers runs/tshirt
 	$(BIN)/caphy validate runs/trousers --seconds 0.25
