@@ -40,6 +40,8 @@ class Options:
     """Standard deviation of each coordinate [mm]."""
     points: int | None = None
     """Of each frame's cloud; registered vertices unless given."""
+    wrong: float = 0.0
+    """Share by which the user's stiffnesses are off, up and down in turn."""
     only: tuple[str, ...] = ()
     """Names of what is hidden; everything unless given."""
     workers: int = 2
@@ -86,10 +88,10 @@ def run(case: Case, options: Options) -> dict:
     torch.set_num_threads(1)
     kind, scene, name, seed = case
     hidden = {**ONE, **PAIRS, **NOTHING, **OUTSIDE}[name]
-    noise_mm, points = options.noise_mm, options.points
-    world = make(scene, hidden, seed, noise_mm=noise_mm, points=points, cache=options.cache)
+    noise_mm, points, wrong = options.noise_mm, options.points, options.wrong
+    world = make(scene, hidden, seed, noise_mm=noise_mm, points=points, wrong=wrong, cache=options.cache)
     began = time.process_time()
-    key = (scene, seed, noise_mm, hidden.same_mesh)
+    key = (scene, seed, noise_mm, points, wrong, hidden.same_mesh)
     if key not in _BASES:
         scenes = [registered(Scene.of(measurement), world.model) for measurement in world.base]
         _BASES[key] = from_base(Study(scenes), world.model, scenes[0].motion is not None)
@@ -100,10 +102,10 @@ def run(case: Case, options: Options) -> dict:
     told = figures(diagnosis)
     told["ranking"] = told["ranking"][:6]
     told["windows_of_the_fit"] = _forms(diagnosis)
-    if kind in ("one", "pair"):
+    if kind in ("one", "pair") and not wrong:
         told["truth_held_out_mm"] = _truth_held_out(world)
     return {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": noise_mm, "points": points,
-            "cpu_seconds": seconds, "answer": dict(world.answer), "diagnosis": told}  # fmt: skip
+            "wrong": wrong, "cpu_seconds": seconds, "answer": dict(world.answer), "diagnosis": told}  # fmt: skip
 
 
 _BASES: dict = {}
@@ -139,7 +141,7 @@ def main() -> None:
     """Run what is missing, then print the table."""
     options = tyro.cli(Options)
     known = rows(options.results)
-    like = [r for r in known if (r["noise_mm"], r.get("points")) == (options.noise_mm, options.points)]
+    like = [row for row in known if _kind(row)[1:] == (options.noise_mm, options.points or 0, options.wrong)]
     done = {(r["kind"], r["scene"], r["hidden"], r["seed"]) for r in like}
     left = [case for case in cases(options) if case not in done]
     began = time.time()
@@ -176,7 +178,7 @@ def _work(queue, answers, options: Options, began: float) -> None:
         except Exception as error:
             kind, scene, name, seed = case
             row = {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": options.noise_mm,
-                   "points": options.points}  # fmt: skip
+                   "points": options.points, "wrong": options.wrong}  # fmt: skip
             answers.put({**row, "error": f"{type(error).__name__}: {error}"})
     answers.put(None)
 
@@ -231,17 +233,18 @@ def table(found: Sequence[dict]) -> str:
     """The numbers, and every failure."""
     good = [row for row in found if "error" not in row]
     lines = [""]
-    for scene, noise, points in sorted({_kind(row) for row in good}):
-        part = [row for row in good if _kind(row) == (scene, noise, points)]
+    for scene, noise, points, wrong in sorted({_kind(row) for row in good}):
+        part = [row for row in good if _kind(row) == (scene, noise, points, wrong)]
         what = f", clouds of {points} points" if points else ""
+        what += f", stiffnesses wrong by {100 * wrong:g} %" if wrong else ""
         lines += [f"{scene}, {noise:g} mm noise{what}", *_part(part)]
     lines += ["", "failures"]
     lines += [f"  {line(row)}" for row in found if "error" in row or not near(row)]
     return "\n".join(lines)
 
 
-def _kind(row: dict) -> tuple[str, float, int]:
-    return row["scene"], row["noise_mm"], row.get("points") or 0
+def _kind(row: dict) -> tuple[str, float, int, float]:
+    return row["scene"], row["noise_mm"], row.get("points") or 0, row.get("wrong", 0.0)
 
 
 def _part(part: Sequence[dict]) -> Iterator[str]:

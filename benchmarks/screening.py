@@ -3,7 +3,8 @@
     OMP_NUM_THREADS=1 python -m benchmarks.screening
 
 Two motions of the challenge's square of 48 frames each, in which nothing is hidden, seen on meshes of 289 and 1,225
-vertices: all windows rolled out, tangents of every number of every effect, flexible forces, scores and the null.
+vertices: all windows rolled out, tangents of every number of every effect, flexible forces, scores and the null. Then
+the same with 26 explanations and no flexible forces.
 """
 
 from __future__ import annotations
@@ -19,13 +20,19 @@ from caphy.challenge.hidden import Hidden
 from caphy.challenge.recording import record, seen_by_user
 from caphy.challenge.sheets import corners, users_square
 from caphy.challenge.square import square
+from caphy.diagnose.groups import columns_of, library
+from caphy.diagnose.screen import null_gains, screened
 from caphy.diagnose.search import screen
+from caphy.effects.model import Model
 from caphy.measure.scene import Scene
+from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.study import Study
 
 FRAMES = 48
 SIDES = (17, 35)
 """Vertices along a side of the user's mesh."""
+FEW = 26
+"""Explanations of the smaller screen."""
 CACHE = Path("challenge-cache")
 
 
@@ -60,6 +67,21 @@ def main() -> None:
             f"{found.evidence_of_probes.b.shape[1]} flexible forces",
             flush=True,
         )
+        began = time.process_time()
+        columns = _some(study, stage.model)
+        print(f"  {FEW} explanations with {columns} numbers alone: {time.process_time() - began:.0f} s", flush=True)
+
+
+def _some(study: Study, model: Model) -> int:
+    """Screen against some of the library, and tell how many numbers they have."""
+    groups = library(model, on_body=False)[:FEW]
+    columns, places = columns_of(groups)
+    responses = study.respond(model, columns)
+    known = evidence(responses, study.variance(responses))
+    known = replace(known, weight=robust_weights(known))
+    screened(known, groups, places, model)
+    null_gains(known, groups, places, model)
+    return len(columns)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ from caphy.body.bundled import default_body
 from caphy.body.surface import nearest_on_surface
 from caphy.challenge.leapfrog import Drive
 from caphy.challenge.planes import FINER, MovingBody
+from caphy.challenge.square import MODEL
 from caphy.challenge.stage import FPS, RUN_UP, Part, Play, Stage
 from caphy.challenge.swings import about_vertical
 from caphy.conventions import JOINT_NAMES
-from caphy.effects.model import Model
 from caphy.garment import threads
 from caphy.garment.attach import prune
 from caphy.garment.dressing import thread_guide
@@ -46,18 +46,7 @@ ACTIONS: dict[Part, tuple[str, ...]] = {
 }
 """What the body mostly does in each motion."""
 
-MODEL = Model(
-    0.2,
-    {
-        "gravity": {},
-        "inertia": {},
-        "strain_stvk": {"lame_mu": 40.0, "lame_lambda": 25.0},
-        "bending": {"stiffness_weft": 6e-5, "stiffness_warp": 6e-5},
-        "bending_damping": {"viscosity": 2e-6},
-        "body_contact": {},
-        "attachment": {},
-    },
-)
+WORN = MODEL.with_effect("attachment", {})
 """The fabric of the square, worn."""
 
 
@@ -70,7 +59,7 @@ def dressed(name: str, seed: int, frames: int, same_mesh: bool = False) -> Stage
         for part, actions in ACTIONS.items()
         for number, action in enumerate(actions)
     ]
-    return Stage(name, user, truth, MODEL, tuple(plays))
+    return Stage(name, user, truth, WORN, tuple(plays))
 
 
 skirt, tshirt = partial(dressed, "skirt"), partial(dressed, "tshirt")

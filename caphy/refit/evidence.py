@@ -48,6 +48,11 @@ class Evidence:
         bent = np.einsum("wk,wkl,wl->w", change, self.a, change)
         return self.weight * (self.c - 2 * np.einsum("wk,wk->w", change, self.b) + bent)
 
+    def along(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First and second derivative of each window's weighted chi2 (W,) on the way along changes (K,), at zero."""
+        slope = -2 * self.weight * np.einsum("wk,k->w", self.b, change)
+        return slope, 2 * self.weight * np.einsum("k,wkl,l->w", change, self.a, change)
+
     @property
     def normal(self) -> tuple[np.ndarray, np.ndarray]:
         """Sum over windows of A (K, K) and b (K,), weighted."""

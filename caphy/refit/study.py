@@ -25,7 +25,8 @@ _SHORTER = 0.4
 ROUNDS = 7
 """Gauss-Newton steps at most."""
 
-_SETTLED = 3e-3  # of the misfit: what a further Gauss-Newton step must promise; viscosity goes on by small promises
+_SETTLED = 4e-3  # of what the whole change takes away: what a further step must promise; 6 % of the numbers
+_NOTHING = 1e-5  # of the misfit: a promise that is none
 
 SNAPPED = 2.0
 """Times its first misfit: what a window may count at most."""
@@ -182,21 +183,33 @@ class Fit:
         (normal, right), step = self.evidence.normal, self.step
         return float(2 * step @ right - step @ normal @ step)
 
+    @property
+    def settled(self) -> bool:
+        """Whether the step that is left is small beside the change so far, where the windows can tell."""
+        normal, change = self.evidence.normal[0], self.change
+        return self.promise < max(_SETTLED * float(change @ normal @ change), _NOTHING * self.misfit)
+
 
 def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[float, float]:
-    """The share of the misfit that a change (K,) takes away, by tangents from either side, and its standard error.
+    """The share of the misfit that a change (K,) takes away, by tangents at either end, and its standard error.
 
     The misfits of two roll-outs differ by more than small effects do, because folds snap here in one and there in the
-    other. Tangents tell what the change itself does: forwards from the model before, and backwards from the one after.
-    Where it takes away more than 30 %, or the two are at odds (viscosity does less and less the more there is of it),
-    tangents do not reach from one to the other, and roll-outs tell. The error is that of a sum over windows.
+    other. Slopes b and curvatures A at either end tell what the change d itself does. With responses S that change
+    evenly from one end to the other the residual moves by m = (S0 + S1) d / 2, and the misfit falls by
+
+        2 e0.m - m.m = d.(b0 + b1) - d.(A0 - A1) d / 4.
+
+    Where it takes away more than 30 %, or the two ends are at odds (viscosity does less and less the more there is of
+    it), tangents do not reach from one to the other, and roll-outs tell. The error is that of a sum over windows.
     """
     zero = np.zeros_like(change)
-    old, ahead = before.misfit(zero), before.misfit(change)
-    back, new = after.misfit(-change), after.misfit(zero)
-    forwards, backwards = (old - ahead) / max(old.sum(), 1e-300), (back - new) / max(back.sum(), 1e-300)
-    far = new.sum() < (1 - _LARGE) * old.sum() or abs(forwards.sum() - backwards.sum()) > _AT_ODDS
-    falls = (old - new) / max(old.sum(), 1e-300) if far else 0.5 * (forwards + backwards)
+    old, new = before.misfit(zero), after.misfit(zero)
+    total = max(float(old.sum()), 1e-300)
+    (slope, curvature), (last_slope, last_curvature) = before.along(change), after.along(change)
+    ahead, back = -(slope + curvature / 2), -(last_slope - last_curvature / 2)
+    far = new.sum() < (1 - _LARGE) * old.sum() or abs((ahead - back).sum()) > _AT_ODDS * total
+    falls = (old - new) if far else -(slope + last_slope) / 2 - (curvature - last_curvature) / 8
+    falls = falls / total
     return float(falls.sum()), float(np.sqrt(len(falls)) * falls.std(ddof=1)) if len(falls) > 1 else np.inf
 
 
@@ -238,7 +251,7 @@ def refined(
         gained = best.misfit - found.misfit
         if gained > -_ROUGH * best.misfit:
             best, step = found, found.step
-            if best.promise < _SETTLED * best.misfit:
+            if best.settled:
                 return replace(best, converged=True)
         elif best.promise < _FUTILE * best.misfit:
             return best
