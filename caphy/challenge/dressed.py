@@ -46,7 +46,7 @@ ACTIONS: dict[Part, tuple[str, ...]] = {
 }
 """What the body mostly does in each motion."""
 
-WORN = MODEL.with_effect("attachment", {})
+WORN = MODEL.with_effect("attachment")
 """The fabric of the square, worn."""
 
 
