@@ -147,7 +147,6 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     from caphy.training.motions import Motions, varied
     from caphy.training.objective import Objective
     from caphy.training.validate import SHORTEST
-    from caphy.training.wander import wandering
 
     if options.device != "cpu" and not torch.cuda.is_available():
         raise CaphyError(f"--device {options.device}: torch finds no CUDA device here; use --device cpu")
@@ -168,10 +167,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
         initial.require_joints(joints)
     network, fps = network.to(options.device), network.fps
     trained, held_out = _clips(options)
-    shown = [one for clip in trained for one in varied(clip, fps)]
-    random = np.random.default_rng(options.seed)
-    shown += [wandering(clip, random) for clip in shown]
-    motions = Motions.of(shown, body, network.driving, fps, betas)
+    motions = Motions.of([v for clip in trained for v in varied(clip, fps)], body, network.driving, fps, betas)
     long = [clip for clip in (clip.resample(fps) for clip in held_out) if len(clip) >= SHORTEST]
     unseen = Motions.of(long, body, network.driving, fps, betas) if long else None
     potential = Potential(model, Cloth.of(garment, model.density), torch.float32, options.device)
@@ -192,7 +188,7 @@ def _tell(trainer: Trainer, garment: Garment, trained: list[PoseSequence], held_
 
     print(
         f"{garment.name}: {len(garment.vertices)} vertices, {len(trainer.track.motions)} frames of {len(trained)} "
-        f"clips (mirrored, at three speeds, and with joints wandering), {len(held_out)} clips held out"
+        f"clips (mirrored, at three speeds), {len(held_out)} clips held out"
     )
     if trainer.scans is not None:
         physics = "" if trainer.scans.loss.physics else ", no physics"

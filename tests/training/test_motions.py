@@ -16,7 +16,6 @@ from caphy.network.features import pose_features, rest_state
 from caphy.rotations import matrix_from_axis_angle
 from caphy.training.motions import Motions, continuous_parts, find_poses, mirrored, varied
 from caphy.training.streams import LONGEST, WINDOW, Streams, Windows, segment
-from caphy.training.wander import wandering
 
 DRIVING = [1, 2, 3, 16, 17]
 
@@ -148,22 +147,3 @@ def test_windows_show_what_a_stream_would_see(motions):
     torch.testing.assert_close(seen[0], streamed(frames[0]))
     torch.testing.assert_close(seen[1], streamed(np.arange(15))[10:])
     torch.testing.assert_close(seen[2], streamed(frames[2]))
-
-
-def test_wandering_turns_joints_smoothly_and_bends_elbows_and_knees_one_way():
-    still = PoseSequence(np.zeros((600, 55, 3)), np.ones((600, 3)), 30.0)
-    clip = wandering(still, np.random.default_rng(0))
-    spread = np.degrees(np.sqrt((clip.poses**2).mean(0)))
-    index = JOINT_NAMES.index
-    np.testing.assert_array_equal(clip.transl, still.transl)
-    assert abs(spread[index("left_hip"), 0] - 16) < 4 and abs(spread[index("spine2"), 1] - 6) < 2
-    assert np.abs(np.diff(clip.poses, axis=0)).max() * 30 < np.radians(200), "a limb does not jump"
-    assert not spread[index("left_wrist")].any()
-    assert (clip.poses[:, [index("left_knee"), index("right_knee")], 0] >= 0).all()
-    assert (
-        (clip.poses[:, index("left_elbow"), 1] > -0.02).mean()
-        < 0.3
-        < (clip.poses[:, index("right_elbow"), 1] > 0.02).mean()
-    )
-    lift = [np.sin(clip.poses[:, index(f"{side}_shoulder"), 2]).mean() for side in ("left", "right")]
-    assert lift[0] > 0.05 > -0.05 > lift[1], "arms leave the trunk"
