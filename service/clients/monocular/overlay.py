@@ -5,17 +5,21 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from caphy.body.skinning import blend_transforms, skin
 from caphy.conventions import JOINT_NAMES
 from caphy.io.bundle import AvatarBundle, SkinnedMesh
+from service.clients.monocular.raster import painted
 
 COLOURS = ((150, 92, 52), (64, 140, 222), (96, 170, 110), (170, 110, 160))
 """BGR of the garments, innermost first."""
 _BARE = ("neck", "head", "elbow", "wrist", "ankle", "foot", "index", "middle", "pinky", "ring", "thumb")
 _CELL = 0.03
 """Size of the body's faces that hide clothes [m]."""
+_SKIN = 0.01
+"""Skin lies on cloth's depth nearly: so much nearer it is taken to be [m]."""
 _LIGHT = np.array([0.4, 0.7, 0.6]) / np.linalg.norm([0.4, 0.7, 0.6])
-_FINE = 3
-"""Bits of a pixel's fraction that opencv draws with."""
+_NEAREST = 0.1
+"""What is nearer to the camera is not drawn [m]."""
 
 
 class Overlay:
@@ -25,8 +29,16 @@ class Overlay:
     """
 
     def __init__(self, bundle: AvatarBundle, focal: float, size: tuple[int, int]) -> None:
-        self._bundle, self._focal, self._size = bundle, focal, size
+        self._bundle, self._focal, self._middle = bundle, focal, np.array(size)[:, None, None] / 2
         self._body = _bare_parts(bundle.body)
+        self._weights, self._rest = self._body.dense_weights(), self._body.vertices.astype(np.float64)
+        meshes = [self._body, *(garment.mesh for garment in bundle.garments)]
+        starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+        self._corners = np.concatenate(faces).T.astype(np.intp)  # (3, F)
+        self._mesh = np.repeat(np.arange(len(meshes)), [len(part) for part in faces])
+        paints = [(0, 0, 0, 0), *((*COLOURS[i % len(COLOURS)], 255) for i in range(len(bundle.garments)))]
+        self._paints = np.array(paints, np.float64)
 
     def draw(
         self,
@@ -42,53 +54,57 @@ class Overlay:
         poses: (55, 3) [rad] and transl: (3,) [m] of the body. turn: (3, 3) from the camera's axes to the world's.
         origin: (3,) where the camera stands in the world [m].
         """
-        body = self._body.posed(self._bundle.transforms(poses[None], transl[None]))[0]
-        meshes = [(body, self._body.faces, (0, 0, 0), 0)]
-        for garment, colour in zip(self._bundle.garments, COLOURS * 4, strict=False):
-            meshes.append((garments[garment.name], garment.mesh.faces, colour, 255))
-        polygons, depths, colours = [], [], []
-        for vertices, faces, colour, opacity in meshes:
-            found = self._faces(np.asarray(vertices, np.float64) - origin, faces, turn)
-            polygons.append(found[0])
-            depths.append(found[1] - (0.0 if opacity else 0.01))  # skin lies on cloth's depth nearly: it wins
-            shade = np.outer(found[2], colour)
-            colours.append(np.column_stack([shade, np.full(len(shade), opacity)]))
-        return self._painted(pixels, np.concatenate(polygons), np.concatenate(depths), np.concatenate(colours))
+        body = skin(blend_transforms(self._weights, self._bundle.transforms(poses[None], transl[None])), self._rest)[0]
+        vertices = np.concatenate([body, *(garments[garment.name] for garment in self._bundle.garments)])
+        polygons, paints = self._faces(turn.T @ (vertices - origin).T, turn)
+        return _over(pixels, polygons, paints)
 
-    def _faces(self, vertices: np.ndarray, faces: np.ndarray, turn: np.ndarray) -> tuple:
-        """Corners (F, 3, 2) [pixels / 8], depth (F,) [m] and light (F,) of the faces that look at the camera."""
-        seen = vertices @ turn  # the rows of turn are the world's axes in the camera
-        points = self._focal * seen[:, :2] / np.maximum(seen[:, 2:], 0.05) + np.array(self._size) / 2
-        corners = points[faces]
-        a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        ahead = seen[:, 2][faces].min(axis=1) > 0.1
-        front = np.flatnonzero((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] < 0) & ahead)
-        triangles = vertices[faces[front]]
-        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
-        light = 0.5 + 0.6 * np.maximum(normals @ _LIGHT, 0)
-        return np.rint(corners[front] * 2**_FINE).clip(-(2**20), 2**20), seen[:, 2][faces[front]].mean(axis=1), light
+    def _faces(self, seen: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (2, 3, F) [pixels] and BGRA (F, 4) of the faces that look at the camera, far to near.
 
-    @staticmethod
-    def _painted(pixels: np.ndarray, polygons: np.ndarray, depths: np.ndarray, colours: np.ndarray) -> np.ndarray:
-        """From far to near, then over the picture."""
-        dressed = pixels.copy()
-        size = np.array(pixels.shape[1::-1])
-        corners = polygons.reshape(-1, 2) / 2**_FINE
-        low, high = np.array([[0, 0], [0, 0]]) if not len(corners) else (corners.min(axis=0), corners.max(axis=0))
-        low, high = np.clip([low - 2, high + 3], 0, size).astype(int)  # only this part is worked on
-        if not (high > low).all():
-            return dressed
-        canvas = np.zeros((high[1] - low[1], high[0] - low[0], 4), np.uint8)
-        order = np.argsort(-depths, kind="stable")
-        paint = colours[order].clip(0, 255).tolist()
-        for polygon, colour in zip((polygons[order] - low * 2**_FINE).astype(np.int32), paint, strict=True):
-            cv2.fillConvexPoly(canvas, polygon, colour, cv2.LINE_8, _FINE)
-        part = slice(low[1], high[1]), slice(low[0], high[0])
-        smooth = cv2.blur(canvas, (2, 2)).astype(np.float32)
-        share = smooth[..., 3:] / 255
-        dressed[part] = (smooth[..., :3] + (1 - share) * dressed[part]).astype(np.uint8)
+        seen: (3, V) vertices in the camera's axes [m].
+        """
+        corners = seen.take(self._corners, axis=1)  # (3 axes, 3 corners, F)
+        normals = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        looks = np.einsum("af,af->f", normals, corners[:, 0]) < 0
+        front = np.flatnonzero(looks & (corners[2].min(axis=0) > _NEAREST))
+        depth = corners[2].mean(axis=0)[front] - np.where(self._mesh[front] == 0, _SKIN, 0.0)
+        front = front[np.argsort(-depth, kind="stable")]
+        corners, normals = corners.take(front, axis=2), normals.take(front, axis=1)
+        sizes = np.sqrt(np.einsum("af,af->f", normals, normals)) + 1e-12
+        light = 0.78 + 0.34 * (_LIGHT @ turn @ normals / sizes)  # the dark side has shape too
+        paints = self._paints[self._mesh[front]] * np.column_stack([light, light, light, np.ones_like(light)])
+        return self._focal * corners[:2] / corners[2] + self._middle, paints
+
+
+def _over(pixels: np.ndarray, polygons: np.ndarray, paints: np.ndarray) -> np.ndarray:
+    """Polygons (2, 3, F) [pixels] of paints (F, 4) BGRA over a copy of a picture, the last one foremost.
+
+    Every pixel is the mean of its four corners.
+    """
+    dressed = pixels.copy()
+    if not len(paints):
         return dressed
+    size = pixels.shape[1::-1]
+    places = polygons.reshape(2, -1)
+    low = np.floor(places.min(axis=1)).clip(0, size).astype(int)
+    high = np.ceil(places.max(axis=1)).clip(0, size).astype(int)
+    if not (high > low).all():
+        return dressed
+    width, height = (high - low).tolist()
+    found = painted(polygons - low[:, None, None], (width + 1, height + 1))
+    palette = np.concatenate([paints, np.zeros((1, 4))]).clip(0, 255).astype(np.uint8)  # the last one is -1: nothing
+    corners = palette.view(np.uint32).ravel()[found].view(np.uint8).reshape(*found.shape, 4)
+    smooth = cv2.blur(corners, (2, 2), anchor=(0, 0))[:height, :width]
+    part = dressed[low[1] : high[1], low[0] : high[0]]
+    behind = cv2.cvtColor(255 - smooth[..., 3], cv2.COLOR_GRAY2BGR)
+    part[:] = cv2.add(cv2.multiply(part, behind, scale=1 / 255), cv2.cvtColor(smooth, cv2.COLOR_BGRA2BGR))
+    return dressed
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products (3, F) of vectors (3, F)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _bare_parts(body: SkinnedMesh) -> SkinnedMesh:
