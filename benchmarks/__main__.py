@@ -11,6 +11,7 @@ import benchmarks
 
 ASIDE = (
     "collision",
+    "depth",
     "diagnosis",
     "fabric",
     "monocular",
