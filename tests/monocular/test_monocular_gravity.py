@@ -93,3 +93,30 @@ def test_a_few_upright_lines_among_many_others_say_nothing() -> None:
         end = int(x + 58 * np.sin(lean)), int(y + 58 * np.cos(lean))
         cv2.line(picture, (x, y), end, (170,) * 3, 5, cv2.LINE_AA)
     assert up_from_lines(picture, FOCAL, LEVEL_UP) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_posts_side_by_side_leave_the_rest_to_the_standing_person(seed: int) -> None:
+    """A door's edges say exactly how the camera is rolled, and little of how it is pitched; the person stands there."""
+    camera, random = _camera(22, -3), np.random.default_rng(seed)
+    picture = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
+    for x in np.linspace(-0.3, 0.3, 10):
+        ends = np.array([[x, 0.4, 5.0], [x, -0.6, 5.0]]) @ camera.T
+        places = FOCAL * ends[:, :2] / ends[:, 2:] + np.array(SIZE) / 2 + random.normal(0, 0.7, (2, 2))
+        points = np.rint(16 * places).astype(int).tolist()
+        cv2.line(picture, tuple(points[0]), tuple(points[1]), (210, 210, 210), 4, cv2.LINE_AA, 4)
+    guess = _camera(24, -1) @ LEVEL_UP
+    found = up_from_lines(picture, FOCAL, guess, np.radians(6))
+    assert found is not None
+    assert _degrees(found, camera @ LEVEL_UP) < 3
+
+
+def test_the_first_picture_of_somebody_standing_says_where_up_is() -> None:
+    """Not only after a while: a camera from above would be taken as level, and the world turned under the clothes."""
+    camera = _camera(25, 3)
+    gravity = Gravity(FOCAL)
+    gravity.see(0.0, np.full((72, 128, 3), 128, np.uint8), camera @ LEVEL_UP)
+    assert _degrees(gravity.turn[1], camera @ LEVEL_UP) < 6
+    gravity.forget()
+    gravity.see(0.0, np.full((72, 128, 3), 128, np.uint8), None)
+    assert _degrees(gravity.turn[1], LEVEL_UP) < 1e-6

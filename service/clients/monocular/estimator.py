@@ -11,7 +11,7 @@ from caphy.rotations import axis_angle_from_matrix
 from service.clients.monocular.gravity import Gravity
 from service.clients.monocular.kinematics import Kinematics, Posture
 from service.clients.monocular.landmarks import LANDMARKS, Detector, Landmarks
-from service.clients.monocular.skeleton import Skeleton
+from service.clients.monocular.skeleton import Skeleton, centre_of_mass
 from service.clients.monocular.video import Cuts, Picture
 
 _PARTS = {
@@ -23,6 +23,9 @@ _PARTS = {
     "ankle": ("ankle", "foot_index"),
 }
 """The landmarks without which a joint's turn is only guessed."""
+_ANKLES = [JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle")]
+_FEET = [*_ANKLES, JOINT_NAMES.index("left_foot"), JOINT_NAMES.index("right_foot")]
+_NECK = JOINT_NAMES.index("neck")
 _MISFIT = 0.25
 """Landmarks that fit the body no better are of no body [m]."""
 _JUMP = 0.8
@@ -57,6 +60,7 @@ class Estimator:
         self._joints = np.asarray(joints, np.float64)
         self._kinematics = Kinematics(Skeleton.of(self._joints), focal, size)
         self._skeleton = Skeleton.of(self._joints)
+        self._height = float(np.linalg.norm(self._joints[_NECK] - self._joints[_ANKLES].mean(axis=0)))
         self._detector, self.gravity = detector, Gravity(focal)
         self._cuts = Cuts()
         self._last: Landmarks | None = None
@@ -109,15 +113,13 @@ class Estimator:
         return Estimate(time, poses, transl, trust, self._turn, self._origin, is_new)
 
     def _uprightness(self, posture: Posture, seen: Landmarks) -> tuple[np.ndarray, float]:
-        """The way from ankles to neck (3,) in the camera, and how much it says about gravity: standing tall only."""
+        """The way from the middle of the feet to the centre of mass (3,) in the camera, for nobody falls over; and how
+        much it says about gravity: standing tall only."""
         _, joints, _ = self._skeleton.posed(posture.rotations, posture.root)
-        ankles = joints[[JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle")]]
-        neck = joints[JOINT_NAMES.index("neck")]
-        up = neck - ankles.mean(axis=0)
-        full = np.linalg.norm(self._joints[JOINT_NAMES.index("neck")] - self._joints[JOINT_NAMES.index("left_ankle")])
-        tall = float(np.clip((np.linalg.norm(up) / full - 0.85) / 0.12, 0, 1))
+        tall = float(np.linalg.norm(joints[_NECK] - joints[_ANKLES].mean(axis=0)) / self._height)
         feet = seen.visibility[[LANDMARKS.index("left_ankle"), LANDMARKS.index("right_ankle")]].min()
-        return up, tall * float(feet) + 1e-3
+        weight = float(np.clip((tall - 0.85) / 0.12, 0, 1)) * float(feet) + 1e-3
+        return centre_of_mass(joints) - joints[_FEET].mean(axis=0), weight
 
     def _is_other(self, seen: Landmarks | None) -> bool:
         if seen is None or self._last is None:

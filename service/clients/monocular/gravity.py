@@ -19,20 +19,30 @@ LEAST_SHARE: Final = 0.25
 APART: Final = np.radians(4.0)
 CLEAR: Final = 1.4
 """How much more must agree than the rest does with any direction further away than 4 degrees."""
+FIT: Final = np.radians(0.75)
+"""Spread of a line about the vertical that it shows [rad]."""
+STAND: Final = np.radians(6.0)
+"""How far from upright people stand in the mean of some seconds [rad]."""
+LEVEL: Final = np.radians(20.0)
+"""How far from level cameras are held [rad]."""
 SLEW: Final = np.radians(20.0)
 """How fast the world is turned when up is known better [rad/s]: faster, and clothes would fly."""
+UNSEEN: Final = 0.2
+"""Before anybody is seen the camera is taken as level; one picture of somebody standing counts five times as much."""
 _SHORTEST = 0.05
 
 
-def up_from_lines(pixels: np.ndarray, focal: float, guess: np.ndarray) -> np.ndarray | None:
+def up_from_lines(pixels: np.ndarray, focal: float, guess: np.ndarray, spread: float = LEVEL) -> np.ndarray | None:
     """Direction (3,) of up in the camera (right, down, ahead) from vertical lines of a picture (H, W, 3), or none.
 
     Every line's plane through the eye holds the vertical; the direction that most of their length agrees on within
-    1.5 degrees wins (RANSAC over all pairs of the longest), then least squares over those that agree.
+    1.5 degrees wins (RANSAC over all pairs of the longest, those near the guess first), then least squares over those
+    that agree. Lines side by side, as of one door, leave open how far up is tilted along them; there the guess counts.
 
     Args:
         focal: [pixels].
         guess: (3,) up as known so far; lines more than 40 degrees off it on the picture are not asked.
+        spread: how far off the guess may well be [rad].
     """
     normals, lengths = _planes(pixels, focal, guess)
     if len(normals) < LEAST_LINES:
@@ -47,13 +57,26 @@ def up_from_lines(pixels: np.ndarray, focal: float, guess: np.ndarray) -> np.nda
         return None
     fits = abs(candidates @ normals.T) < np.sin(TOLERANCE)
     votes = fits @ lengths
-    best = candidates[votes.argmax()]
+    likely = np.exp((candidates @ guess - 1) / (2 * spread) ** 2)  # twice as far off is not ruled out
+    chosen = (votes * likely).argmax()
+    best = candidates[chosen]
     agrees = abs(normals @ best) < np.sin(TOLERANCE)
     others = (fits[candidates @ best < np.cos(APART)] @ np.where(agrees, 0.0, lengths)).max(initial=0.0)
-    if agrees.sum() < LEAST_LINES or votes.max() < LEAST_SHARE * lengths.sum() or votes.max() < CLEAR * others:
-        return None
-    _, axes = np.linalg.eigh((normals[agrees] * lengths[agrees, None]).T @ normals[agrees])
-    return axes[:, 0] * np.sign(axes[:, 0] @ guess)
+    least = max(LEAST_SHARE * lengths.sum(), CLEAR * others)
+    return (
+        None if agrees.sum() < LEAST_LINES or votes[chosen] < least else _fitted(normals, lengths, best, guess, spread)
+    )
+
+
+def _fitted(normals: np.ndarray, lengths: np.ndarray, best: np.ndarray, guess: np.ndarray, spread: float) -> np.ndarray:
+    """Least squares over the lines that agree with ``best`` (3,) and, within its spread [rad], over the guess."""
+    for _ in range(3):
+        agrees = abs(normals @ best) < np.sin(TOLERANCE)
+        trust = lengths[agrees] / lengths.max() / FIT**2
+        known = (normals[agrees] * trust[:, None]).T @ normals[agrees]
+        best = np.linalg.solve(known + np.eye(3) / spread**2, guess / spread**2)
+        best /= np.linalg.norm(best)
+    return best
 
 
 def _planes(pixels: np.ndarray, focal: float, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +116,7 @@ class Gravity:
     def forget(self) -> None:
         """The camera may have moved, as after a cut."""
         self._up = self._goal = np.array([0.0, -1.0, 0.0])
-        self._people, self._weight = np.zeros(3), 0.0
+        self._people, self._weight = UNSEEN * self._up, UNSEEN
         self._next, self._time = -np.inf, -np.inf
         self.by_lines = False
 
@@ -105,14 +128,14 @@ class Gravity:
         if time >= self._next:
             self._look(pixels)
             self._next = time + (self._every if self.by_lines else self._every / 4)
-        if not self.by_lines and self._weight > 5:
+        if not self.by_lines:
             self._goal = self._people / np.linalg.norm(self._people)
         self._approach(time)
 
     def _look(self, pixels: np.ndarray) -> None:
+        guess = self._people / np.linalg.norm(self._people)
         known = self._weight > 5
-        guess = self._people / np.linalg.norm(self._people) if known else self._goal
-        up = up_from_lines(pixels, self._focal, guess)
+        up = up_from_lines(pixels, self._focal, guess, STAND if known else LEVEL)
         if up is not None and (not known or up @ guess > np.cos(AGREE)):
             if not self.by_lines or up @ self._goal < np.cos(np.radians(1.0)):  # a turn of less is noise
                 self._goal = up

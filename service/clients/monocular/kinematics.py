@@ -32,13 +32,13 @@ PIXEL_SPREADS = {
     "pinky": 0.035,
     "index": 0.03,
     "thumb": 0.035,
-    "hip": 0.05,
-    "knee": 0.035,
+    "hip": 0.03,
+    "knee": 0.03,
     "ankle": 0.025,
     "heel": 0.035,
     "foot_index": 0.035,
 }
-"""Trust in a landmark's place on the picture [m at its depth]; clothes hide hips."""
+"""Trust in a landmark's place on the picture [m at its depth]."""
 SPACE_SPREAD = np.array([0.10, 0.10, 0.07])
 """Trust in a landmark's place in space against the hips: across, down, away [m]."""
 OUTLIER = 4.0

@@ -44,6 +44,8 @@ STATISTICS: Final = Path(caphy.__file__).parent / "data" / "pose_statistics.npz"
 """Mean and covariance of 30 CMU clips, left and right alike (:mod:`caphy.register.pose_statistics`)."""
 UNKNOWN: Final = np.radians(5.0)
 """Added to the spread of every angle: there are other postures than those of the clips [rad]."""
+WIDER: Final = 1.5
+"""Hips bend by so much more than in the clips, most of which walk: seen thighs should say how the pelvis tilts."""
 
 
 def postures() -> tuple[np.ndarray, np.ndarray]:
@@ -53,6 +55,9 @@ def postures() -> tuple[np.ndarray, np.ndarray]:
     """
     with np.load(STATISTICS, allow_pickle=False) as arrays:
         mean, covariance = arrays["mean"].astype(np.float64), arrays["covariance"].astype(np.float64)
+    wider = np.ones((BODY_JOINT_COUNT - 1, 3))
+    wider[[JOINT_NAMES.index(name) - 1 for name in ("left_hip", "right_hip")], 0] = WIDER
+    covariance *= np.outer(wider, wider)
     return mean, np.linalg.inv(covariance + UNKNOWN**2 * np.eye(len(mean)))
 
 
