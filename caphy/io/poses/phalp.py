@@ -17,9 +17,9 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.poses.camera import at_usual_distance, level_camera
-from caphy.io.poses.gaps import without_gaps
+from caphy.io.poses.estimated import estimated
 from caphy.io.poses.sequence import PoseSequence
-from caphy.io.poses.smpl import axis_angles, mean_betas, poses_from_columns, require_fps, rest_pelvis
+from caphy.io.poses.smpl import axis_angles, poses_from_columns, require_fps
 
 FOCAL: Final = 5000.0 / 256.0
 """PHALP's focal length, in sides of its square."""
@@ -40,21 +40,9 @@ def read_phalp(results: dict[str, Any], path: Path, fps: float | None, person: i
     person = _track(frames, path, person)
     seen = list(_of(frames, person, path))
     poses, model, notes = poses_from_columns(np.array([found[1] for found in seen]).reshape(len(seen), 72), str(path))
-    betas, more = mean_betas(np.array([found[2] for found in seen]), str(path))
-    pelvis, shaped = rest_pelvis(model, "neutral", betas)
-    numbers = np.array([found[0] for found in seen])
-    poses, transl, gaps = without_gaps(poses, np.array([found[3] for found in seen]), numbers, str(path))
-    sequence = PoseSequence(
-        poses=poses,
-        transl=transl,
-        fps=fps,
-        source=str(path),
-        betas=betas,
-        model=model,
-        pelvis=pelvis,
-        notes=(f"track {person}", *notes, *more, *shaped, *gaps, "distance as of a focal length of the diagonal"),
-    )
-    return level_camera(sequence)
+    numbers, betas, transl = (np.array([found[i] for found in seen]) for i in (0, 2, 3))
+    said = (f"track {person}", *notes, "distance as of a focal length of the diagonal")
+    return level_camera(estimated(path, fps, poses, transl, numbers, betas, model, said))
 
 
 def _checked(name: str, frame: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -16,9 +16,9 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.poses.camera import at_usual_distance, level_camera
-from caphy.io.poses.gaps import without_gaps
+from caphy.io.poses.estimated import estimated
 from caphy.io.poses.sequence import PoseSequence
-from caphy.io.poses.smpl import axis_angles, mean_betas, require_fps, rest_pelvis
+from caphy.io.poses.smpl import axis_angles, require_fps
 
 FOCAL: Final = 5000.0
 """[pixels]"""
@@ -47,20 +47,8 @@ def read_pymafx(results: dict[str, Any], path: Path, fps: float | None, person: 
     rows, numbers, person = _rows(results, len(rotations), path, person)
     transl, more = _translations(results, len(rotations), path)
     poses = axis_angles(rotations[rows], str(path))
-    betas, notes = mean_betas(shapes[rows], str(path))
-    pelvis, shaped = rest_pelvis("smplx", "neutral", betas)
-    poses, transl, gaps = without_gaps(poses, transl[rows], numbers, str(path))
     said = f"person {person} of each frame; unless PyMAF-X was told to track, that is a place and not a person"
-    sequence = PoseSequence(
-        poses=poses,
-        transl=transl,
-        fps=fps,
-        source=str(path),
-        betas=betas,
-        pelvis=pelvis,
-        notes=(said, *notes, *shaped, *gaps, more),
-    )
-    return level_camera(sequence)
+    return level_camera(estimated(path, fps, poses, transl[rows], numbers, shapes[rows], notes=(said, more)))
 
 
 def _joined(batches: list[Any], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:

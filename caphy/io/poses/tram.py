@@ -15,9 +15,9 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.io.pickles import read_boxed
 from caphy.io.poses.camera import level_camera
-from caphy.io.poses.gaps import without_gaps
+from caphy.io.poses.estimated import estimated
 from caphy.io.poses.sequence import PoseSequence
-from caphy.io.poses.smpl import axis_angles, mean_betas, poses_from_columns, require_fps, rest_pelvis
+from caphy.io.poses.smpl import axis_angles, poses_from_columns, require_fps, rest_pelvis
 from caphy.rotations import matrix_from_axis_angle
 
 
@@ -29,23 +29,12 @@ def read_tram(path: Path, fps: float | None) -> PoseSequence:
     count = len(rotations)
     transl = _numbers(results, "pred_trans", (1, 3), path, count)[:, 0]
     numbers = _numbers(results, "frame", (), path, count).astype(int)
-    betas, notes = mean_betas(_numbers(results, "pred_shape", (10,), path, count), str(path))
+    betas = _numbers(results, "pred_shape", (10,), path, count)
     columns = axis_angles(rotations, f"{path}: pred_rotmat").reshape(count, 72)
-    poses, model, more = poses_from_columns(columns, str(path))
-    pelvis, shaped = rest_pelvis(model, "neutral", betas)
+    poses, model, notes = poses_from_columns(columns, str(path))
+    pelvis, _ = rest_pelvis(model, "neutral", None)
     poses, transl, moved = _in_first_camera(poses, transl, np.asarray(pelvis), numbers, path)
-    poses, transl, gaps = without_gaps(poses, transl, numbers, str(path))
-    sequence = PoseSequence(
-        poses=poses,
-        transl=transl,
-        fps=fps,
-        source=str(path),
-        betas=betas,
-        model=model,
-        pelvis=pelvis,
-        notes=(*notes, *more, *shaped, *gaps, moved),
-    )
-    return level_camera(sequence)
+    return level_camera(estimated(path, fps, poses, transl, numbers, betas, model, (*notes, moved)))
 
 
 def _in_first_camera(

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.io.poses.gaps import without_gaps
+from caphy.io.poses.estimated import estimated
 from caphy.io.poses.sequence import PoseSequence
-from caphy.io.poses.smpl import mean_betas, poses_from_columns, require_fps, rest_pelvis
+from caphy.io.poses.smpl import poses_from_columns, require_fps
 
 
 def read_wham(results: Any, path: Path, fps: float | None, person: int | None = None) -> PoseSequence:
@@ -21,20 +21,9 @@ def read_wham(results: Any, path: Path, fps: float | None, person: int | None = 
     transl = _numbers(subject, "trans_world", path).reshape(-1, 3)
     if len(transl) != len(poses):
         raise CaphyError(f"{path}: trans_world has {len(transl)} frames, pose_world {len(poses)}")
-    betas, more = mean_betas(_numbers(subject, "betas", path), str(path)) if "betas" in subject else (None, ())
-    pelvis, shaped = rest_pelvis(model, "neutral", betas)
+    betas = _numbers(subject, "betas", path) if "betas" in subject else None
     ids = _numbers(subject, "frame_ids", path) if "frame_ids" in subject else np.arange(len(poses))
-    poses, transl, gaps = without_gaps(poses, transl, ids.ravel().astype(int), str(path))
-    return PoseSequence(
-        poses=poses,
-        transl=transl,
-        fps=fps,
-        source=str(path),
-        betas=betas,
-        model=model,
-        pelvis=pelvis,
-        notes=(f"person {key}", *notes, *more, *shaped, *gaps),
-    )
+    return estimated(path, fps, poses, transl, ids.ravel().astype(int), betas, model, (f"person {key}", *notes))
 
 
 def _subject(results: Any, path: Path, person: int | None) -> tuple[dict[str, Any], Any]:
