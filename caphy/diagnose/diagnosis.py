@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,9 +23,6 @@ from caphy.refit.crew import Crew
 from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import intervals
 from caphy.refit.study import Progress, Study
-
-NOT_WORSE = 0.97
-"""Where held-out misfits contradict, the median error must at least fall to this share, or what was found goes."""
 
 
 @dataclass(frozen=True)
@@ -160,16 +157,10 @@ def diagnose(
 def _concluded(
     found: Search, study: Study, base: Base | None, errors: HeldOut | None, elsewhere: Outside, seconds: float
 ) -> Diagnosis:
-    first, notes = found.screens[0], []
-    terms = found.terms
-    taken = found.taken
-    if terms and errors is not None and errors.contradicts(taken) and errors.after_mm > NOT_WORSE * errors.before_mm:
-        names = ", ".join(term.group.label for term in terms)
-        notes.append(
-            f"{names} was taken back: it takes away {100 * taken:.0f} % of the misfit where it was fitted, and "
-            f"{100 * errors.share:.0f} % (error {100 * errors.share_error:.0f} %) on held-out measurements, "
-            f"where the median went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
-        )
+    first, notes, terms = found.screens[0], [], found.terms
+    numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
+    if terms and (reason := unproven(found.taken, errors, numbers)):
+        notes.append(f"{', '.join(term.group.label for term in terms)} was taken back: {reason}")
         terms = []
     verdict = "nothing"
     if elsewhere.beats:
@@ -188,7 +179,7 @@ def _concluded(
             for other in similar[term.group.name]
         },
         ranking=_ranking(found),
-        coefficients=_coefficients(found, base, len(study.scenes)) if kept else {},
+        coefficients=numbers if kept else {},
         model=found.model if kept else first.model,
         needed=first.needed,
         windows=len(first.responses),
@@ -201,6 +192,19 @@ def _concluded(
         search=found,
         study=study,
         notes=tuple(notes),
+    )
+
+
+def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coefficient]) -> str:
+    """Why what takes away a share of the misfit is not believed; empty where it is."""
+    if not any(number.low > 0 or number.high < 0 for number in numbers.values()):
+        return "none of its numbers is surely different from zero"
+    if errors is None or errors.proves(taken):
+        return ""
+    return (
+        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted, and {100 * errors.share:.0f} % (error "
+        f"{100 * errors.share_error:.0f} %) on held-out measurements, where the median went from "
+        f"{errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
     )
 
 

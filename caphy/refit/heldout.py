@@ -16,6 +16,10 @@ from caphy.refit.study import Fit, Progress, Study, picked, share_gone
 
 PROVEN = 1 / 3
 """Of the share of the misfit that a fit takes away: what it must take away on held-out measurements."""
+SURE = 2.0
+"""Standard errors by which the misfit must fall there, at least."""
+FALLS = 0.97
+"""Share of itself to which a median error must fall there to be proof enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +42,15 @@ class HeldOut:
     share: float
     share_error: float
 
-    def contradicts(self, share: float) -> bool:
-        """Whether less is gone than a third of a share gone elsewhere, by more than a standard error."""
-        return self.share + self.share_error < PROVEN * share
+    def proves(self, share: float) -> bool:
+        """Whether what takes away a share of the misfit elsewhere holds here.
+
+        Either the median error falls, by 3 %, or the misfit falls by two standard errors, and by a third of that share
+        or nearly so. What is found where nothing is missing does neither.
+        """
+        if self.after_mm < FALLS * self.before_mm:
+            return True
+        return self.share > SURE * self.share_error and self.share + self.share_error >= PROVEN * share
 
 
 def held_out_errors(

@@ -7,12 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.screen import Score
 from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, finalists
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, extended, moved
 from caphy.refit.evidence import Evidence
+from caphy.refit.heldout import HeldOut
 from caphy.refit.study import Fit
 
 DRAG, PRESSURE = Group("mass_damping", addition("mass_damping")), Group("pressure", addition("pressure"))
@@ -67,3 +69,32 @@ def test_parameters_grow_threefold_at_a_time_and_tenfold_in_all(so_far, wanted):
     known = Evidence(np.ones((5, 1, 1)), np.full((5, 1), 1e3), np.full(5, 1e7), np.ones(5), np.full(5, 100))
     fit = Fit(model, there, columns, known, [], known, 1.0, np.ones(5))
     assert fit.step == pytest.approx([wanted])
+
+
+def held_out(share: float, error: float, after_mm: float = 3.0) -> HeldOut:
+    return HeldOut(3.0, after_mm, 1.5, np.full(4, 3.0), np.full(4, after_mm), share, error)
+
+
+@pytest.mark.parametrize(
+    ("errors", "believed"),
+    [
+        (held_out(0.10, 0.03), True),
+        (held_out(0.014, 0.013), False),  # no more than chance
+        (held_out(0.02, 0.005), False),  # sure, but a tenth of what was promised
+        (held_out(0.05, 0.02), True),  # a third, or nearly so
+        (held_out(0.0, 0.1, after_mm=2.8), True),  # the median tells what the misfit cannot
+        (held_out(0.014, 0.013, after_mm=2.95), False),
+        (held_out(-0.2, 0.05), False),
+        (held_out(0.1, np.inf), False),  # one window knows no error of its own
+    ],
+)
+def test_what_is_found_must_hold_on_held_out_measurements(errors, believed):
+    numbers = {"mass_damping.rate": Coefficient(1.0, 0.5, 1.5, "1/s")}
+    assert (unproven(0.2, errors, numbers) == "") is believed
+    assert unproven(0.2, None, numbers) == ""
+
+
+def test_numbers_that_may_all_be_zero_name_nothing():
+    unsure, sure = Coefficient(0.5, -0.1, 1.1, "Pa"), Coefficient(-0.5, -0.9, -0.1, "Pa")
+    assert "different from zero" in unproven(0.2, None, {"a": unsure, "b": unsure})
+    assert unproven(0.2, held_out(0.2, 0.01), {"a": unsure, "b": sure}) == ""
