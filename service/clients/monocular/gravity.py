@@ -63,9 +63,9 @@ def up_from_lines(pixels: np.ndarray, focal: float, guess: np.ndarray, spread: f
     agrees = abs(normals @ best) < np.sin(TOLERANCE)
     others = (fits[candidates @ best < np.cos(APART)] @ np.where(agrees, 0.0, lengths)).max(initial=0.0)
     least = max(LEAST_SHARE * lengths.sum(), CLEAR * others)
-    return (
-        None if agrees.sum() < LEAST_LINES or votes[chosen] < least else _fitted(normals, lengths, best, guess, spread)
-    )
+    if agrees.sum() < LEAST_LINES or votes[chosen] < least:
+        return None
+    return _fitted(normals, lengths, best, guess, spread)
 
 
 def _fitted(normals: np.ndarray, lengths: np.ndarray, best: np.ndarray, guess: np.ndarray, spread: float) -> np.ndarray:
