@@ -48,12 +48,9 @@ class HeldOut:
         The median error must fall. It falls by 3 %, or the misfit falls by two standard errors, and by a third of that
         share or nearly so. What is found where nothing is missing rarely does.
         """
-        if self.after_mm >= FALLS * self.before_mm:
-            return self.after_mm < self.before_mm and self._surely(share)
-        return True
-
-    def _surely(self, share: float) -> bool:
-        return self.share > SURE * self.share_error and self.share + self.share_error >= PROVEN * share
+        fallen_to = self.after_mm / self.before_mm
+        sure = self.share > SURE * self.share_error and self.share + self.share_error >= PROVEN * share
+        return fallen_to < FALLS or (fallen_to < 1 and sure)
 
 
 def held_out_errors(
