@@ -171,8 +171,8 @@ def _print_garments(fit: BodyFit, taken: list[Taken], session: Path) -> None:
     for kind in KINDS:
         if kind not in told:
             continue
-        targets = [Target.of(clouds[fit.names[i]], fit.figure.placed(fit.placements[i]), kind) for i in chosen]
         wall, work = time.monotonic(), time.process_time()
+        targets = [Target.of(clouds[fit.names[i]], fit.figure.placed(fit.placements[i]), kind) for i in chosen]
         choice = choose(fit.figure, targets, kind, _told())
         spent = time.process_time() - work
         print(f"{kind}: {choice.style.family}, truth {told[kind]['family']}; {choice.looked_at} styles, refined, in")
@@ -200,10 +200,10 @@ def _lengths(style, told: dict, figure: Figure, session: Path) -> Iterator[tuple
     }
     if told["family"] == "skirt":
         usual["length"] = 0.55 * (marks.crotch + usual["rise"] - marks.joint("left_ankle")[1])
-    for name in TRIMS[style.family]:
-        if name in told["options"]:
+    for name in (*TRIMS[style.family], "neck_width", "neck_depth"):
+        if name in told["options"] and hasattr(style, name):
             true = told["options"][name]
-            yield name, getattr(style, name), usual[name] if true is None else true
+            yield name.replace("_", " "), getattr(style, name), usual[name] if true is None else true
 
 
 if __name__ == "__main__":

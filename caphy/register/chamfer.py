@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -27,19 +28,13 @@ CLOTH_POINTS, ALL_POINTS = 2000, 24000
 class Target:
     """One garment in one scan."""
 
-    cloth: np.ndarray
-    """Its points (N, 3) [m]."""
-    everything: KDTree
-    """Points of the whole scan."""
-    labels: np.ndarray
-    """Their labels."""
-    kind: str
-    cloth_tree: KDTree
-    """All points of the cloth."""
+    scan: Cloud
+    """Points of the whole scan, thinned."""
+    points: np.ndarray
+    """All points of the cloth (M, 3) [m]."""
     normals: np.ndarray
     """Their normals."""
-    reach: float
-    """How far aside of the nearest of them the cloth still goes on [m]."""
+    kind: str
     placed: PlacedFigure
     """The body in this scan."""
 
@@ -47,16 +42,33 @@ class Target:
     def of(cls, cloud: Cloud, placed: PlacedFigure, kind: str) -> Target:
         """The cloth of a kind (``upper`` or ``lower``) in a cloud; an upper garment may hide a lower one."""
         mine = cloud.labels == LABELS[kind]
-        own, thin = cloud.points[mine], cloud.thinned(ALL_POINTS)
-        if len(own) < 2:
+        if mine.sum() < 2:
             raise CaphyError(
                 f"{cloud.name}: has no points labelled {kind}; check its labels, or leave that garment out"
             )
-        cloth, tree = own[even_sample(own, CLOTH_POINTS)] if len(own) > CLOTH_POINTS else own, KDTree(own)
-        apart = np.quantile(tree.query(own[:: max(1, len(own) // 1000)], k=2)[0][:, 1], 0.9)
-        return cls(
-            cloth, KDTree(thin.points), thin.labels, kind, tree, cloud.normals[mine], ASIDE * float(apart), placed
-        )
+        return cls(cloud.thinned(ALL_POINTS), cloud.points[mine], cloud.normals[mine], kind, placed)
+
+    @cached_property
+    def cloth(self) -> np.ndarray:
+        """Some of its points (N, 3) [m], spread evenly."""
+        few = len(self.points) <= CLOTH_POINTS
+        return self.points if few else self.points[even_sample(self.points, CLOTH_POINTS)]
+
+    @cached_property
+    def cloth_tree(self) -> KDTree:
+        """All points of the cloth."""
+        return KDTree(self.points)
+
+    @cached_property
+    def everything(self) -> KDTree:
+        """Points of the whole scan."""
+        return KDTree(self.scan.points)
+
+    @cached_property
+    def reach(self) -> float:
+        """How far aside of the nearest of its points the cloth still goes on [m]."""
+        some = self.points[:: max(1, len(self.points) // 1000)]
+        return ASIDE * float(np.quantile(self.cloth_tree.query(some, k=2)[0][:, 1], 0.9))
 
     def posed(self, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Points (N, 3) on the T-posed body, skinned with weights (N, 55) into this scan."""
@@ -70,7 +82,7 @@ class Target:
         is where its nearest point lies straight below or above, rather than aside, as it does beyond a hem.
         """
         distance, nearest = self.everything.query(posed)
-        known = (distance < MOST) & ~((self.kind == "lower") & (self.labels[nearest] == UPPER))
+        known = (distance < MOST) & ~((self.kind == "lower") & (self.scan.labels[nearest] == UPPER))
         nearest = self.cloth_tree.query(posed)[1]
         offset = posed - self.cloth_tree.data[nearest]
         up = (offset * self.normals[nearest]).sum(axis=1)

@@ -21,7 +21,7 @@ from caphy.garment.template import Garment, read_npz
 from caphy.garment.usermesh import UserMesh
 from caphy.register.articulation import Figure
 from caphy.register.chamfer import MOST, Target
-from caphy.register.template import STYLES, dressed_body
+from caphy.register.template import COMPARED, STYLES, dressed_body
 
 SPREAD = 2.0
 """Coefficients are looked at up to this many standard deviations."""
@@ -98,7 +98,8 @@ class LinearChoice:
 def choose_linear(
     style: LinearStyle, figure: Figure, targets: Sequence[Target], seed: int = 0, count: int = STYLES
 ) -> LinearChoice:
-    """The best of ``count`` random styles of a basis, refined."""
+    """The best of ``count`` random styles of a basis, refined; of ``targets`` the plainest come first."""
+    targets = targets[:COMPARED]
     marks, rng = Landmarks.of(dressed_body(figure)), np.random.default_rng(seed)
     weights = skinning_weights(style.mean, style.faces, marks.body, marks.vertices)
     drawn = style.deviations * np.clip(rng.standard_normal((count, len(style.deviations))), -SPREAD, SPREAD)

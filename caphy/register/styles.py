@@ -17,6 +17,7 @@ from caphy.garment.attach import skinning_weights
 from caphy.garment.families import FAMILIES, Family
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.meshing import contour
+from caphy.register.borders import Borders
 
 GRID = 0.015
 """Spacing of a surface's points [m]."""
@@ -129,6 +130,20 @@ class Sheet:
             found = {name: value(self.points) for name, value in openings.items()}
             self._inside[neck] = found | {"piece": np.where(np.isin(self.face, piece), np.inf, -np.inf)}
         return self._inside[neck]
+
+
+def seen_lengths(style: Family, borders: Borders, marks: Landmarks) -> dict[str, float]:
+    """The lengths [m] with which a style would end where ``borders`` say; a tank top's sleeve is none."""
+    found = {}
+    if borders.cuff is not None and hasattr(style, "sleeve"):
+        found["sleeve"] = borders.cuff
+    if borders.hem is not None:
+        name = "leg" if hasattr(style, "leg") else "length"
+        top = marks.crotch if name == "leg" else marks.joint("neck")[1]
+        if style.family == "skirt":
+            top = marks.crotch + style.rise  # pyright: ignore
+        found[name] = float(top - borders.hem)
+    return found
 
 
 def longest(family: str, eases: Mapping[str, float], marks: Landmarks) -> Family:

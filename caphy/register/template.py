@@ -14,14 +14,17 @@ from caphy.garment.families import Family, make
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register.articulation import Figure, Placement
+from caphy.register.borders import Borders
 from caphy.register.chamfer import Target
 from caphy.register.starts import plain_poses
-from caphy.register.styles import EASES, KINDS, TRIMS, Sheet, longest, ranges, styles_of
+from caphy.register.styles import EASES, KINDS, TRIMS, Sheet, longest, ranges, seen_lengths, styles_of
 
 STYLES = 330
 """Styles looked at for each kind of garment."""
-SCANS = 2
-"""Scans compared with: those nearest to a T- or A-pose."""
+SCANS = 40
+"""Scans looked at: those nearest to a T- or A-pose. Where cloth ends is taken from all of them."""
+COMPARED = 2
+"""How many of them styles are compared with point by point."""
 EASE_STEPS = {"ease": 0.012, "sleeve_ease": 0.008, "flare": 0.08, "leg_ease": 0.012, "taper": 0.05}
 """First steps of the refinement of a surface [m, or metres per metre]."""
 NECK_STEP = 0.012
@@ -29,6 +32,8 @@ BORDER = 0.05
 """Cost [m] of a garment that ends in the wrong place, by the share of its area that is too much or missing.
 
 Distances alone are blind to it: cutting off a hem that stands off further than the rest lowers the mean."""
+ENDS = 0.3
+"""Cost [m] of a sleeve or hem by the length [m] that it is longer or shorter than what the scans show on the body."""
 LEAST_POINTS = 50
 NOTHING = 1.0
 """Score [m] of a style of which fewer points than these are seen."""
@@ -44,11 +49,11 @@ class Choice:
 
     style: Family
     distance: float
-    """Mean two-way distance from the scans' cloth [m]."""
+    """Mean two-way distance [m] from the cloth of the scans that styles are compared with, posed by the skeleton."""
     looked_at: int
     """How many styles were compared."""
     runners_up: tuple[tuple[str, float], ...]
-    """Best distance [m] of each family."""
+    """Best distance [m] of each family, with what it costs to end in the wrong place."""
 
 
 def dressed_body(figure: Figure) -> BodyModel:
@@ -71,45 +76,78 @@ def plainest(placements: Sequence[Placement], count: int = SCANS) -> list[int]:
 
 
 def choose(figure: Figure, targets: Sequence[Target], kind: str, progress: Progress, seed: int = 0) -> Choice:
-    """The style of a kind (``upper``, ``lower``) nearest to the cloth of ``targets``."""
+    """The style of a kind (``upper``, ``lower``) nearest to the cloth of ``targets``, the plainest scan first."""
     marks, rng = Landmarks.of(dressed_body(figure)), np.random.default_rng(seed)
+    progress(f"{kind}: where it ends", 0, 1)
+    borders, targets = Borders.of(targets, marks), targets[:COMPARED]
     surfaces = [(family, eases) for family in KINDS[kind] for eases in EASES[family]]
     each, found, looked_at = -(-STYLES // len(surfaces)), [], 0
     for i, (family, eases) in enumerate(surfaces):
         progress(f"{kind}: styles", i, len(surfaces))
-        judge = Judge(Sheet.of(longest(family, eases, marks), marks), targets)
+        judge = Judge(Sheet.of(longest(family, eases, marks), marks), targets, borders)
         scores = [(judge(style), style) for style in styles_of(judge.sheet, each, rng)]
         looked_at += len(scores)
-        score, style = min(scores, key=lambda pair: pair[0])
+        style = judge.ended(min(scores, key=lambda pair: pair[0])[1])
+        score = judge(style)
         found.append((*refined_lengths(judge, style, score), judge))
     best = min(found, key=lambda item: item[0])
     families = {family: min(f[0] for f in found if f[1].family == family) for family in KINDS[kind]}
     progress(f"{kind}: refining", 0, 1)
-    distance, style = refined(best[1], best[2], targets, marks)
-    return Choice(style, distance, looked_at, tuple(sorted(families.items(), key=lambda item: item[1])))
+    style, judge = refined(best[1], best[2])
+    return Choice(style, judge.distance(style), looked_at, tuple(sorted(families.items(), key=lambda item: item[1])))
 
 
 class Judge:
     """Compares styles of one surface with the scans."""
 
-    def __init__(self, sheet: Sheet, targets: Sequence[Target]):
-        self.sheet, self.targets = sheet, targets
+    def __init__(self, sheet: Sheet, targets: Sequence[Target], borders: Borders):
+        self.sheet, self.targets, self.borders = sheet, targets, borders
         self._posed = [target.posed(sheet.points, sheet.weights) for target in targets]
         self._away = [target.from_garment(posed) for target, posed in zip(targets, self._posed, strict=True)]
         self._seen = [target.seen(posed) for target, posed in zip(targets, self._posed, strict=True)]
         self._limits = ranges(sheet.longest.family, sheet.marks)
 
+    def of(self, longest: Family) -> Judge:
+        """A judge of another surface."""
+        return Judge(Sheet.of(longest, self.sheet.marks), self.targets, self.borders)
+
     def __call__(self, style: Family) -> float:
-        """Mean two-way distance [m], with what borders in the wrong place and unusual lengths cost."""
+        """Mean two-way distance [m], with what wrong ends and unusual lengths cost."""
         kept = self.sheet.kept(style)
-        score = 0.0
-        for target, posed, away, (known, cloth) in zip(self.targets, self._posed, self._away, self._seen, strict=True):
-            shown = kept & known
-            if shown.sum() < LEAST_POINTS:
-                return NOTHING
-            wrong = ((kept != cloth) & known).sum() / shown.sum()
-            score += 0.5 * (away[shown].mean() + target.to_garment(posed[kept])) + BORDER * wrong
-        return score / len(self.targets) + self._unusual(style)
+        if not self._shown(kept):
+            return NOTHING
+        wrong = [((kept != cloth) & known).sum() / (kept & known).sum() for known, cloth in self._seen]
+        cost = BORDER * np.mean(wrong) + self._misplaced(style) + self._unusual(style)
+        return self._distance(kept) + float(cost)
+
+    def distance(self, style: Family) -> float:
+        """Mean two-way distance [m]."""
+        kept = self.sheet.kept(style)
+        return self._distance(kept) if self._shown(kept) else NOTHING
+
+    def ended(self, style: Family) -> Family:
+        """The style with the lengths that the scans show, as far as its family goes."""
+        lengths = {name: np.clip(value, *self._limits[name]) for name, value in self._lengths(style).items()}
+        return replace(style, **{name: float(value) for name, value in lengths.items()})
+
+    def _shown(self, kept: np.ndarray) -> bool:
+        return all((kept & known).sum() >= LEAST_POINTS for known, _ in self._seen)
+
+    def _distance(self, kept: np.ndarray) -> float:
+        both = [
+            0.5 * (away[kept & known].mean() + target.to_garment(posed[kept]))
+            for target, posed, away, (known, _) in zip(self.targets, self._posed, self._away, self._seen, strict=True)
+        ]
+        return float(np.mean(both))
+
+    def _misplaced(self, style: Family) -> float:
+        """What it costs [m] that the style ends elsewhere than the cloth of the scans."""
+        lengths = seen_lengths(style, self.borders, self.sheet.marks)
+        return ENDS * sum(abs((getattr(style, name) or 0.0) - max(value, 0.0)) for name, value in lengths.items())
+
+    def _lengths(self, style: Family) -> dict[str, float]:
+        lengths = seen_lengths(style, self.borders, self.sheet.marks)
+        return {name: value for name, value in lengths.items() if name in self._limits}
 
     def _unusual(self, style: Family) -> float:
         if not hasattr(style, "rise"):
@@ -134,8 +172,8 @@ def refined_lengths(judge: Judge, style: Family, score: float) -> tuple[float, F
     return (float(answer.fun), styled(answer.x)) if answer.fun < score else (score, style)
 
 
-def refined(style: Family, judge: Judge, targets: Sequence[Target], marks: Landmarks) -> tuple[float, Family]:
-    """The style with neckline, eases and lengths improved one after another, with steps that halve."""
+def refined(style: Family, judge: Judge) -> tuple[Family, Judge]:
+    """The style with neckline, eases and lengths improved one after another, with steps that halve; and its judge."""
     score = judge(style)
     steps = {name: step for name, step in EASE_STEPS.items() if hasattr(style, name)}
     for share in (1.0, 0.5):
@@ -144,14 +182,14 @@ def refined(style: Family, judge: Judge, targets: Sequence[Target], marks: Landm
         for name, step in steps.items():
             for sign in (1.0, -1.0):
                 value = max(getattr(style, name) + sign * share * step, 0.0)
-                other = Judge(Sheet.of(replace(judge.sheet.longest, **{name: value}), marks), targets)
+                other = judge.of(replace(judge.sheet.longest, **{name: value}))
                 tried = replace(style, **{name: value})
                 found = other(tried)
                 if found < score:
                     score, style, judge = found, tried, other
                     break
         score, style = refined_lengths(judge, style, score)
-    return score, style
+    return style, judge
 
 
 def _refined_neck(style: Family, judge: Judge, score: float, step: float) -> tuple[float, Family]:
