@@ -133,6 +133,9 @@ def test_a_hand_before_the_clothes_stays_as_filmed(bundle: AvatarBundle, folded:
     seen = (joints - EYE) @ _turn()
     x, y = (FOCAL * seen[:, :2] / seen[:, 2:] + np.array(SIZE) / 2).astype(int).T
     wrist, chest = JOINT_NAMES.index("right_wrist"), JOINT_NAMES.index("spine2")
+    ray = (_turn() @ [(x[wrist] + 0.5 - SIZE[0] / 2) / FOCAL, (y[wrist] + 0.5 - SIZE[1] / 2) / FOCAL, 1.0])[None]
+    behind = [_reach(ray, worn[g.name] - EYE, g.mesh.faces, front_only=True)[0] for g in bundle.garments]
+    assert np.linalg.norm(joints[wrist] - EYE) < min(behind) < 5.0  # there are clothes that the hand hides
     assert (drawn[y[wrist], x[wrist]] == 100).all()
     assert (drawn[y[chest], x[chest]] != 100).any()
 
