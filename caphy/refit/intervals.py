@@ -48,14 +48,15 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     unit 1.
 
     ``learned`` tells how far mesh and solver lead astray, ``motions`` how many the fit saw. The step that was left when
-    the fit ended counts as an error too: effects of a few per cent of the misfit end a good part of it early.
+    the fit ended counts as an error too, on the side to which it points: effects of a few per cent of the misfit end a
+    good part of it early.
     """
-    doubt = np.abs(fit.step)
-    if learned is not None:
-        doubt = np.hypot(doubt, learned.doubt(fit.columns, motions))
+    known = 0.0 if learned is None else learned.doubt(fit.columns, motions)
+    own, wide = half_widths(fit.evidence, known), half_widths(fit.evidence, np.hypot(known, fit.step))
+    below, above = np.where(fit.step < 0, wide, own), np.where(fit.step > 0, wide, own)
     found = {}
-    for column, change, half in zip(fit.columns, fit.change, half_widths(fit.evidence, doubt), strict=True):
+    for column, change, less, more in zip(fit.columns, fit.change, below, above, strict=True):
         relative = column.entry is None
-        value, width = (change, half * (1 + change)) if relative else (column.value(fit.model), half)
-        found[column.name] = (float(value), float(value - width), float(value + width), column.unit)
+        value, scale = (change, 1 + change) if relative else (column.value(fit.model), 1.0)
+        found[column.name] = (float(value), float(value - scale * less), float(value + scale * more), column.unit)
     return found

@@ -72,11 +72,11 @@ def test_doubt_adds_to_what_resampling_shows():
 
 
 def test_a_fit_that_ended_early_says_how_far_it_still_was():
-    """Windows that ask for one unit more than the model has: a standard error beside their own."""
+    """Windows that ask for one unit more than the model has: a standard error beside their own, upwards."""
     known, fitted = windows(np.array([1.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=2.0)
     fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
     (left,) = np.linalg.solve(known.a.sum(0), known.b.sum(0))
     value, low, high, unit = intervals(fit, None, 3)["mass_damping.rate"]
     assert (value, unit) == (2.0, "1/s")
     wanted = np.hypot(half_widths(known), 1.959964 * left)[0]
-    np.testing.assert_allclose([value - low, high - value], wanted, rtol=1e-5)
+    np.testing.assert_allclose([value - low, high - value], [half_widths(known)[0], wanted], rtol=1e-5)
