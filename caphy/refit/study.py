@@ -199,16 +199,22 @@ def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[f
 
         2 e0.m - m.m = d.(b0 + b1) - d.(A0 - A1) d / 4.
 
-    Where it takes away more than 30 %, or the two ends are at odds (viscosity does less and less the more there is of
-    it), tangents do not reach from one to the other, and roll-outs tell. The error is that of a sum over windows.
+    Where it takes away more than 30 % tangents do not reach from one end to the other, and roll-outs tell. Where the
+    ends are at odds (viscosity does less and less the more there is of it) roll-outs tell too, but no less than the
+    lesser of what either end promises and no more than the greatest of all three. The error is that of a sum over
+    windows.
     """
     zero = np.zeros_like(change)
     old, new = before.misfit(zero), after.misfit(zero)
     total = max(float(old.sum()), 1e-300)
     (slope, curvature), (last_slope, last_curvature) = before.along(change), after.along(change)
-    ahead, back = -(slope + curvature / 2), -(last_slope - last_curvature / 2)
-    far = new.sum() < (1 - _LARGE) * old.sum() or abs((ahead - back).sum()) > _AT_ODDS * total
-    falls = (old - new) if far else -(slope + last_slope) / 2 - (curvature - last_curvature) / 8
+    ends = -(slope + curvature / 2).sum(), -(last_slope - last_curvature / 2).sum()
+    evenly, falls = -(slope + last_slope) / 2 - (curvature - last_curvature) / 8, old - new
+    if new.sum() >= (1 - _LARGE) * old.sum():
+        if abs(ends[0] - ends[1]) <= _AT_ODDS * total:
+            falls = evenly
+        else:
+            falls += (np.clip(falls.sum(), min(ends), max(*ends, evenly.sum())) - falls.sum()) / len(falls)
     falls = falls / total
     return float(falls.sum()), float(np.sqrt(len(falls)) * falls.std(ddof=1)) if len(falls) > 1 else np.inf
 

@@ -55,6 +55,19 @@ def test_where_most_is_gone_rollouts_tell():
     assert share == pytest.approx(true, rel=1e-12) and 0 < error < 0.1
 
 
+def test_where_the_ends_are_at_odds_rollouts_tell_within_what_they_promise():
+    before, after, true = bent(1.0, 0.28, 0.5)
+    whole, one = before.c.sum(), np.ones(1)
+    ahead = -sum(x.sum() for x in (before.along(one)[0], before.along(one)[1] / 2)) / whole
+    back = -(after.along(one)[0] - after.along(one)[1] / 2).sum() / whole
+    assert ahead - back > 0.1
+    assert share_gone(before, after, one)[0] == pytest.approx(true, rel=1e-9)
+    snapped = replace(after, c=after.c * 1.3)
+    assert share_gone(before, snapped, one)[0] == pytest.approx(back, rel=1e-9)
+    snapped = replace(after, c=after.c * 0.98)
+    assert share_gone(before, snapped, one)[0] == pytest.approx(true, rel=1e-9)
+
+
 def test_settled_when_the_step_left_is_small_beside_the_change():
     """Not beside the misfit: an effect of one per cent of it has its number to be found too."""
     drag = Column("mass_damping", "rate")
