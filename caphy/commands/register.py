@@ -199,7 +199,7 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
     from caphy.register.chamfer import Target
     from caphy.register.cloud import Cloud
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
-    from caphy.register.template import choose, made, plainest
+    from caphy.register.template import COMPARED, choose, made, plainest
 
     chosen = plainest(fit.placements)
     names = [fit.names[i] for i in chosen]
@@ -220,9 +220,8 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
         distance, looked_at = choice.distance, choice.looked_at
     path = command.output / f"{kind}.npz"
     garment.save(path)
-    print(
-        f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {', '.join(names)}; best of {looked_at} styles, refined"
-    )
+    near = ", ".join(names[:COMPARED])
+    print(f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {near}; best of {looked_at} styles, refined")
     return {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
 
 
