@@ -48,9 +48,8 @@ class HeldOut:
         The median error must fall. It falls by 3 %, or the misfit falls by two standard errors, and by a third of that
         share or nearly so. What is found where nothing is missing rarely does.
         """
-        fallen_to = self.after_mm / self.before_mm
         sure = self.share > SURE * self.share_error and self.share + self.share_error >= PROVEN * share
-        return fallen_to < FALLS or (fallen_to < 1 and sure)
+        return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)
 
 
 def held_out_errors(
