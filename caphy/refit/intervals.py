@@ -30,17 +30,17 @@ def deviations(known: Evidence, seed: int = 0) -> np.ndarray:
     return np.array(found).reshape(REPLICAS, -1)
 
 
-def half_widths(known: Evidence, doubt: np.ndarray | float = 0.0, seed: int = 0) -> np.ndarray:
-    """Half widths (K,) of the :data:`LEVEL` intervals.
+def half_widths(known: Evidence, *doubts: np.ndarray | float, seed: int = 0) -> list[np.ndarray]:
+    """Half widths (K,) of the :data:`LEVEL` intervals, for each of some ``doubts``.
 
     The spread of the bootstrap, widened by Student's t with as many degrees of freedom as there are windows left over:
-    a dozen windows know their own spread only roughly. Beside it ``doubt`` (K,), a standard error that all windows
+    a dozen windows know their own spread only roughly. Beside it a doubt (K,), a standard error that all windows
     share and no resampling of them can show.
     """
     spread = deviations(known, seed).std(axis=0)
     free = max(int((known.weight > 0.05).sum()) - known.b.shape[1], 2)
     windows = student.ppf(0.5 + LEVEL / 2, free) * spread * np.sqrt(1 + 1 / free)
-    return np.hypot(windows, norm.ppf(0.5 + LEVEL / 2) * doubt)
+    return [np.hypot(windows, norm.ppf(0.5 + LEVEL / 2) * doubt) for doubt in doubts]
 
 
 def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tuple[float, float, float, str]]:
@@ -52,7 +52,7 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     good part of it early.
     """
     known = 0.0 if learned is None else learned.doubt(fit.columns, motions)
-    own, wide = half_widths(fit.evidence, known), half_widths(fit.evidence, np.hypot(known, fit.step))
+    own, wide = half_widths(fit.evidence, known, np.hypot(known, fit.step))
     below, above = np.where(fit.step < 0, wide, own), np.where(fit.step > 0, wide, own)
     found = {}
     for column, change, less, more in zip(fit.columns, fit.change, below, above, strict=True):

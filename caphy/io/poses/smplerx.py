@@ -13,9 +13,9 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.io.poses.archive import Archive
 from caphy.io.poses.camera import level_camera
-from caphy.io.poses.gaps import without_gaps
+from caphy.io.poses.estimated import estimated
 from caphy.io.poses.sequence import PoseSequence
-from caphy.io.poses.smpl import mean_betas, require_fps, rest_pelvis
+from caphy.io.poses.smpl import require_fps
 from caphy.io.poses.smplx_npz import parts_of_pose
 
 
@@ -32,21 +32,17 @@ def read_smplerx(folder: Path, fps: float | None, person: int | None = None) -> 
         betas.append(archive.floats("betas").ravel() if "betas" in archive else np.zeros(10))
     if len({len(row) for row in betas}) != 1:
         raise CaphyError(f"{folder}: betas differ in length from frame to frame")
-    shape, notes = mean_betas(np.array(betas), str(folder))
-    pelvis, shaped = rest_pelvis("smplx", "neutral", shape)
-    frames, moved, gaps = without_gaps(
-        np.concatenate(poses), np.concatenate(transl), np.array(list(files)), str(folder)
+    return level_camera(
+        estimated(
+            folder,
+            fps,
+            np.concatenate(poses),
+            np.concatenate(transl),
+            np.array(list(files)),
+            np.array(betas),
+            notes=(f"detection {person} of each frame; detections are not tracked",),
+        )
     )
-    sequence = PoseSequence(
-        poses=frames,
-        transl=moved,
-        fps=fps,
-        source=str(folder),
-        betas=shape,
-        pelvis=pelvis,
-        notes=(f"detection {person} of each frame; detections are not tracked", *notes, *shaped, *gaps),
-    )
-    return level_camera(sequence)
 
 
 def _files(folder: Path, person: int | None) -> tuple[dict[int, Path], int]:
