@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
+from small_world import swaying, tube
 
 from caphy.body.bundled import default_body
 from caphy.cli import main
@@ -19,9 +19,6 @@ from caphy.io.poses import write_poses
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.training.reference import solve
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "training"))
-from small_world import swaying, tube
 
 
 def heavy() -> Model:

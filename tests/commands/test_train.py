@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
+from small_world import swaying, tube
 
 from caphy.cli import main
 from caphy.io.poses import write_poses
 from caphy.network.files import load_network
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "training"))
-from small_world import swaying, tube
 
 
 @pytest.fixture

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
+
+from small_world import swaying, tube
 
 from caphy.cli import main
 from caphy.io.poses import write_poses
 from export.runs import read_run
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "training"))
-from small_world import swaying, tube
 
 
 def test_measures_a_run_beside_the_solver(tmp_path, capsys):

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shell_avatar import random_network, shell, shell_avatar, wiggle
 
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
 from caphy.measure.avatar import matching_garment, predict_with_avatar
 from caphy.measure.comparison import compare
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from shell_avatar import random_network, shell, shell_avatar, wiggle
-
 from export.head import TOLERANCE  # what a bundle promises of its rounded heads [m]
 
 

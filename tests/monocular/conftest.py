@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,8 +10,6 @@ import caphy
 from caphy.io.bundle import AvatarBundle, read_bundle
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
-
-sys.path.append(str(Path(__file__).parents[2]))  # for the benchmark that measures the client's constants
 
 
 @pytest.fixture(scope="session")
