@@ -20,6 +20,8 @@ ASIDE = 0.75
 """How far cloth goes on beside its points, in distances to the next point (of which nine in ten are shorter).
 
 With points strewn at random, half of those just at an edge lie within it: garments come out neither long nor short."""
+BESIDE = 3
+"""Vertices of the body next to a place that are asked whether a shirt lies over it."""
 CLOTH_POINTS, ALL_POINTS = 2000, 24000
 """Points that distances, and the borders of the cloth, are taken from."""
 
@@ -78,8 +80,9 @@ class Target:
     def seen(self, posed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which posed points (N,) lie where the scan shows what is there, and which of them where it is this cloth.
 
-        Nothing is known far from any point of the scan, nor for a lower garment where an upper one lies over it. Cloth
-        is where its nearest point lies straight below or above, rather than aside, as it does beyond a hem.
+        Nothing is known far from any point of the scan, nor for a lower garment where an upper one lies over it, unless
+        its cloth is seen there from below. Cloth is where its nearest point lies straight below or above, rather than
+        aside, as it does beyond a hem.
         """
         distance, nearest = self.everything.query(posed)
         known = (distance < MOST) & ~((self.kind == "lower") & (self.scan.labels[nearest] == UPPER))
@@ -87,7 +90,30 @@ class Target:
         offset = posed - self.cloth_tree.data[nearest]
         up = (offset * self.normals[nearest]).sum(axis=1)
         aside = np.sqrt(np.maximum((offset**2).sum(axis=1) - up**2, 0.0))
-        return known, known & (np.abs(up) < MOST) & (aside < self.reach)
+        cloth = known & (np.abs(up) < MOST) & (aside < self.reach)
+        return known & (cloth | ~self._under(posed)), cloth
+
+    def _under(self, posed: np.ndarray) -> np.ndarray:
+        """Which posed points (N,) of a lower garment lie over a place of the body that an upper one lies over too.
+
+        The nearest point of the scan does not tell: a shirt that stands off is farther away than the cloth below its
+        hem.
+        """
+        if self.kind != "lower":
+            return np.zeros(len(posed), bool)
+        return self._shirt[self._skin.query(posed, k=BESIDE)[1]].any(axis=1)
+
+    @cached_property
+    def _skin(self) -> KDTree:
+        """Vertices of the body."""
+        return KDTree(self.placed.vertices)
+
+    @cached_property
+    def _shirt(self) -> np.ndarray:
+        """Vertices of the body (V,) over which the scan shows an upper garment."""
+        lain = np.zeros(len(self.placed.vertices), bool)
+        lain[self._skin.query(self.scan.points[self.scan.labels == UPPER])[1]] = True
+        return lain
 
     def from_garment(self, posed: np.ndarray) -> np.ndarray:
         """Distance (N,) [m] of posed garment points from the cloth."""

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dressed_scans import GARMENTS, Subject, look
 
 from caphy.body.bundled import default_body
 from caphy.errors import CaphyError
-from caphy.garment.families import FAMILIES, Trousers
+from caphy.garment.families import FAMILIES, Trousers, default_rise
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register import template
-from caphy.register.articulation import Figure
+from caphy.register.articulation import Figure, PlacedFigure
 from caphy.register.chamfer import Target
 from caphy.register.cloud import Cloud
 from caphy.register.fit import quiet
@@ -23,15 +25,38 @@ CHOSEN_FROM = {"upper": ("tshirt", "tank"), "lower": ("trousers", "shorts")}
 """Families of this test; all six take a minute."""
 
 
-@pytest.fixture(scope="module")
-def scene():
-    """The bundled T-shirt and trousers, made with the default lengths of the mean body, in an A-pose."""
+def bundled() -> list[Garment]:
+    """T-shirt and trousers, made with the default lengths of the mean body."""
+    return [Garment.load(GARMENTS / f"{name}.npz") for name in ("tshirt", "trousers")]
+
+
+def a_pose(garments: list[Garment]) -> tuple[Cloud, PlacedFigure]:
+    """A scan of the mean body in garments, and where the body is."""
     body = default_body()
-    garments = [Garment.load(GARMENTS / f"{name}.npz") for name in ("tshirt", "trousers")]
     person = Subject(body, np.zeros(10), np.zeros_like(body.v_template), garments)
     place = plain_poses()[1]
     sight = look(person, place.pose, place.transl, 0, 12000)
     return Cloud("a_pose", sight.points, sight.normals, sight.labels), Figure.of(body).placed(place)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return a_pose(bundled())
+
+
+def standing_off(shirt: Garment, marks: Landmarks) -> Garment:
+    """A shirt whose hem is half as wide again, and 5 cm higher."""
+    down = np.clip((marks.armpit - 0.05 - shirt.vertices[:, 1]) / 0.3, 0, 1)
+    down *= np.abs(shirt.vertices[:, 0]) < marks.joint("left_shoulder")[0] + 0.02  # sleeves stay
+    wider = shirt.vertices * (1 + 0.5 * down[:, None] * [1, 0, 1])
+    return replace(shirt, vertices=wider + 0.05 * down[:, None] * [0, 1, 0])
+
+
+def cropped(garment: Garment, low: float, high: float) -> Garment:
+    """What of a garment lies between two heights y [m]."""
+    within = (garment.vertices[:, 1] > low) & (garment.vertices[:, 1] < high)
+    kept = within[garment.faces].all(axis=1)
+    return replace(garment, faces=garment.faces[kept], material=garment.material[kept])
 
 
 @pytest.mark.parametrize("kind", ["upper", "lower"])
@@ -53,6 +78,35 @@ def test_family_and_lengths_come_back(scene, kind, monkeypatch):
     for name, value in true.items():
         if hasattr(choice.style, name):
             assert getattr(choice.style, name) == pytest.approx(value, abs=0.015), name
+
+
+@pytest.fixture
+def trousers_alone(monkeypatch):
+    monkeypatch.setattr(template, "KINDS", {"lower": ("trousers",)})
+    monkeypatch.setattr(template, "EASES", {"trousers": EASES["trousers"][:1]})
+    monkeypatch.setattr(template, "EASE_STEPS", {})
+    monkeypatch.setattr(template, "STYLES", 60)
+
+
+@pytest.mark.usefixtures("trousers_alone")
+def test_a_waistband_under_a_shirt_that_stands_off_is_where_it_usually_is():
+    """Hidden cloth lies nearer to what is seen of the trousers below the hem than to the shirt that hides it."""
+    marks = Landmarks.of(default_body())
+    shirt, trousers = bundled()
+    cloud, placed = a_pose([standing_off(shirt, marks), trousers])
+    choice = template.choose(placed.figure, [Target.of(cloud, placed, "lower")], "lower", quiet)
+    assert choice.style.rise == pytest.approx(default_rise(marks), abs=0.015)
+
+
+@pytest.mark.usefixtures("trousers_alone")
+def test_a_waistband_that_is_seen_is_where_it_is_seen():
+    marks = Landmarks.of(default_body())
+    shirt, trousers = bundled()
+    waist = default_rise(marks) - 0.06
+    worn = [cropped(shirt, marks.crotch + 0.28, np.inf), cropped(trousers, -np.inf, marks.crotch + waist)]
+    cloud, placed = a_pose(worn)
+    choice = template.choose(placed.figure, [Target.of(cloud, placed, "lower")], "lower", quiet)
+    assert choice.style.rise == pytest.approx(waist, abs=0.015)
 
 
 def test_a_sheet_trims_as_the_cut_itself_does():
