@@ -41,19 +41,18 @@ bench-monocular: $(VENV)/.dev $(VENV)/.monocular  ## films with known truth thro
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.monocular $(MOCAP) --python $(VENV)/monocular/bin/python
 
 MOCAP ?= cmu_mocap
-STEPS ?= 11000
+STEPS ?= 24000
 UNSEEN = $(MOCAP)/bvh/131_01.bvh $(wildcard $(MOCAP)/bvh_from_expmap/test_*.bvh)
 WEAR   = $(BIN)/caphy train caphy/data/garments/$(1).npz $(MOCAP)/bvh $(MOCAP)/bvh_from_expmap \
 	--held-out $(UNSEEN) --made-up 12 --steps $(STEPS) -o runs/$(1)
-avatar: $(VENV)/.dev           ## train the bundled default avatar again: make -j2 avatar MOCAP=folder-of-CMU-clips
-	$(MAKE) runs/trousers runs/tshirt
-	$(BIN)/caphy validate runs/trousers --seconds 0.25
-	$(BIN)/caphy validate runs/tshirt --seconds 0.25
+avatar: $(VENV)/.dev           ## train the bundled default avatar again: make -j2 avatar MOCAP=folder-of-CMU-clips; resumes
+	$(MAKE) runs/trousers/validation.json runs/tshirt/validation.json
 	$(BIN)/caphy export runs/trousers runs/tshirt -o caphy/data/avatars/default
 
-runs/%: export OMP_NUM_THREADS = 1
-runs/%:                        # one core for each garment
-	$(call WEAR,$*)
+runs/%/validation.json: export OMP_NUM_THREADS = 1
+runs/%/validation.json:        # one core for each garment
+	$(call WEAR,$*) $(if $(wildcard runs/$*/checkpoint.safetensors),--resume)
+	$(BIN)/caphy validate runs/$* --seconds 0.25
 
 $(VENV)/.python:
 	$(PYTHON) -m venv $(VENV)

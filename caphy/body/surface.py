@@ -13,7 +13,7 @@ from caphy.errors import CaphyError
 Array = Any
 """A numpy array or a torch tensor."""
 
-_LEAF_FACES = 4
+_LEAF_FACES = 2
 
 
 class NearestPoints(NamedTuple):

@@ -17,7 +17,7 @@ from caphy.errors import CaphyError
 from caphy.network.files import save_network
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
-from caphy.training.learner import Learner, offset_basis, stiffness
+from caphy.training.learner import Learner, stiffness
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective
 from caphy.training.scans import RANDOM_EPOCHS, SCAN_EPOCHS, Scans, ScanStreams
@@ -99,11 +99,11 @@ class Trainer:
         share = schedule.streams // self.world
         own = slice(self.rank * share, (self.rank + 1) * share)
         device = network.template.device
-        self.learner = Learner(network, offset_basis(stiffness(objective.potential, network.fps))).to(device)
+        self.learner = Learner(network, stiffness(objective.potential, network.fps)).to(device)
         self.model = self.learner
         if self.world > 1:
             self.model = torch.nn.parallel.DistributedDataParallel(self.learner, broadcast_buffers=False)
-        self.optimizer = torch.optim.Adam(self.learner.parameters(), betas=(0.9, 0.99))
+        self.optimizer = torch.optim.Adam(self.learner.parameters(), betas=(0.9, 0.99), fused=True)
         self.track = Track(motions, Streams(motions, schedule.streams, seed), objective, network, own)
         self.scans, self.scan_track = scans, None
         if scans is not None:

@@ -55,7 +55,9 @@ class Objective:
         """``template`` (V, 3) [m] and ``weights`` (V, 55) are the network's, in float32."""
         self.potential, self.body, self.betas, self.dt = potential, body, betas, 1 / fps
         self.template, self.weights = template, weights
-        self.surface = Surface.of(body.faces, body.rest(betas)[0])
+        rest = body.rest(betas)[0]
+        self.surface = Surface.of(body.faces, rest)
+        self._usual = self.surface.nearest(template.cpu().numpy(), rest).face  # a good guess all the time
 
     def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Past]:
         """Potential (B, K) [J] of the scored frames, and the streams' past after the windows.
@@ -112,7 +114,7 @@ class Objective:
         result = np.empty((3, *points.shape), dtype=np.float32)
 
         def look(i: int) -> None:
-            found = self.surface.nearest(points[i], now[i])
+            found = self.surface.nearest(points[i], now[i], self._usual)
             corners = earlier[i][self.surface.faces[found.face]]
             result[0, i], result[1, i] = found.point, found.normal
             result[2, i] = (found.point - np.einsum("vk,vkc->vc", found.barycentric, corners)) / self.dt

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import torch
 
 from caphy.network.garment_network import GarmentNetwork
-from caphy.training.learner import Learner, offset_basis, stiffness
+from caphy.training.learner import Learner, stiffness
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective
 from caphy.training.validate import clip_windows, standing
@@ -29,7 +29,7 @@ def overtrain(
     Stops after ``steps``, or ``seconds`` [s] if these are over first; the learning rate falls from ``rate`` to a
     hundredth. ``progress`` is told of each step the share done and the mean potential [J].
     """
-    learner = Learner(network, offset_basis(stiffness(objective.potential, network.fps)))
+    learner = Learner(network, stiffness(objective.potential, network.fps))
     optimizer = torch.optim.Adam(learner.parameters())
     windows = clip_windows(1, int(motions.starts[1]), True)
     features = windows.features(motions).to(network.template)

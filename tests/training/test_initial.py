@@ -22,7 +22,7 @@ from caphy.network.files import save_network
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.blind_spots import blind_spots
 from caphy.training.initial import read_initial
-from caphy.training.learner import Learner, offset_basis, stiffness
+from caphy.training.learner import Learner, stiffness
 from caphy.training.streams import Windows
 from export.avatar import avatar_bundle, bundled_garment
 
@@ -94,7 +94,7 @@ def test_the_learner_starts_as_the_network_is(make_trainer):
     torch.nn.init.normal_(network.head.bias, std=0.01)
     model = snug_model().with_effect("body_friction").with_effect("air_drag_normal", coefficient=5.0)
     potential = Potential(model, Cloth.of(tube(), model.density))
-    learner = Learner(network, offset_basis(stiffness(potential, 30.0)))
+    learner = Learner(network, stiffness(potential, 30.0))
     features, hidden = torch.randn(2, 3, network.gru.input_size), torch.zeros(2, 2, 24)
     torch.testing.assert_close(learner(features, hidden)[0], network.offsets(features, hidden)[0], rtol=1e-4, atol=1e-6)
 

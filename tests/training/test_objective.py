@@ -18,9 +18,10 @@ from caphy.effects.cloth import Cloth
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
 from caphy.rotations import matrix_from_axis_angle
-from caphy.training.learner import Learner, offset_basis, stiffness
+from caphy.training.learner import Learner, stiffness
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective, Past
+from caphy.training.preconditioner import Preconditioner
 from caphy.training.streams import Windows
 
 FRAMES = np.array([np.arange(5, 10), np.arange(20, 25), np.full(5, 12)])
@@ -140,11 +141,15 @@ def test_preconditioned_head_is_the_network_s_head(make_trainer):
 
 
 def test_a_step_in_the_head_is_a_newton_step_of_the_linear_cloth(make_trainer):
-    """dU = S S^T (-g) solves the template's stiffness, up to one factor for all."""
+    """dU = S S^T (-g) solves the template's stiffness, up to one factor for all; held against scipy's dense inverse."""
     potential = make_trainer().objective.potential
     stiff = stiffness(Potential(potential.model, potential.cloth), 30.0)
-    basis = offset_basis(stiff)
+    unit = torch.eye(stiff.shape[0], dtype=torch.float64, requires_grad=True)
+    basis = Preconditioner(stiff).times(unit)
+    basis.backward(basis.detach())  # the gradient of |S|^2 / 2: S^T S
+    basis = basis.detach().numpy()
     product = stiff @ basis @ basis.T
-    np.testing.assert_allclose(product, product[0, 0] * np.eye(len(stiff)), atol=1e-9 * product[0, 0])
+    np.testing.assert_allclose(product, product[0, 0] * np.eye(len(product)), atol=1e-9 * product[0, 0])
+    np.testing.assert_allclose(unit.grad, basis.T @ basis, atol=1e-12 * product[0, 0])
     np.testing.assert_allclose(np.sqrt((basis**2).sum(1).mean()), 0.01)
     assert isinstance(make_trainer("other").model, Learner)
