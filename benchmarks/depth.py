@@ -1,6 +1,6 @@
 """How much of the default T-shirt lies in the body, and how much of it would where its potential is least.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.depth POSES... [--garment trousers] [--moments 4]
+    OMP_NUM_THREADS=1 python -m benchmarks.depth POSES... [--garment trousers] [--stiffer 10]
 
 At some moments of each motion the network's cloth is handed to the solver, which moves it, from the network's own
 past, to the nearest minimum of the very potential that the network was trained on. Cloth between an arm and the ribs is
@@ -44,6 +44,10 @@ class Options:
     """Of the default avatar."""
     moments: int = 4
     """In each motion."""
+    stiffer: float = 1.0
+    """Times the stiffness of contact that the network was trained on: what the solver gets."""
+    thicker: float = 1.0
+    """Times the distance at which contact begins, likewise."""
 
 
 def main(options: Options) -> None:
@@ -53,6 +57,12 @@ def main(options: Options) -> None:
     garment = Garment.load(data / "garments" / f"{options.garment}.npz")
     avatar = read_initial(data / "avatars" / "default", garment)
     model = Model.from_json(json.dumps(avatar.model), "the default avatar's model")
+    contact = model.effects["body_contact"]
+    model = model.with_effect(
+        "body_contact",
+        stiffness=options.stiffer * contact["stiffness"],
+        distance=options.thicker * contact["distance"],
+    )
     newton = Newton(Potential(model, Cloth.of(garment, model.density)))
     found = []
     for clip in (clip.resample(avatar.network.fps) for clip in find_poses(options.poses)):
