@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from caphy.body.model import BodyModel
 from caphy.garment.template import Garment
-from caphy.garment.topology import boundary_loops
+from caphy.garment.topology import boundary_edges
 from caphy.io.bundle import AvatarBundle, BundledGarment, SkinnedMesh
 from caphy.io.poses import PoseSequence
 from caphy.network.garment_network import GarmentNetwork
@@ -69,7 +69,7 @@ def tucked_in(
         _, nearest = KDTree(cloth).query(vertices)
         away = cloth[nearest] - vertices
         distance = np.linalg.norm(away, axis=1)
-        edge = np.unique(np.concatenate(boundary_loops(cloth_faces)))
+        edge = np.unique(boundary_edges(cloth_faces))
         covered = (distance < 0.08) & ((away * normals).sum(1) > 0.3 * distance) & ~np.isin(nearest, edge)
         inside = np.clip((KDTree(cloth[edge]).query(vertices)[0] - 0.01) / 0.03, 0, 1)
         pull = np.maximum(pull, covered * inside * inside * (3 - 2 * inside))

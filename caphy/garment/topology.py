@@ -169,15 +169,20 @@ def consistent_winding(faces: np.ndarray) -> np.ndarray:
     return size[label[:count]] < size[label[count:]]
 
 
+def boundary_edges(faces: np.ndarray) -> np.ndarray:
+    """Directed edges (E, 2) that one face alone has, in its winding."""
+    directed = half_edges(faces)
+    _, inverse, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    return directed[count[inverse.reshape(-1)] == 1]
+
+
 def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     """Closed boundary curves as vertex indices, each following its faces' winding, the longest first.
 
     Raises
         ValueError: if a boundary vertex has two outgoing boundary edges (the mesh is pinched there).
     """
-    directed = half_edges(faces)
-    _, inverse, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    border = directed[count[inverse.reshape(-1)] == 1]
+    border = boundary_edges(faces)
     following = dict(border.tolist())
     if len(following) != len(border):
         raise ValueError("boundary_loops needs a mesh whose boundary vertices have one boundary edge out of each")
