@@ -5,6 +5,7 @@
 At some moments of each motion the network's cloth is handed to the solver, which moves it, from the network's own
 past, to the nearest minimum of the very potential that the network was trained on. Cloth between an arm and the ribs is
 pushed from both sides and lies deeper than 1 mm there too, so that no training on this potential brings it to nothing.
+``--stiffer`` and ``--thicker`` give the solver another contact than the network was trained on.
 """
 
 from __future__ import annotations
