@@ -115,10 +115,11 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
         step = _far(look)
         if not step.any():
             break
-        for column, by in zip(look.columns, map(float, step), strict=True):
-            if by:
-                changed[column.name] = (1 + changed.get(column.name, 0.0)) * (1 + by) - 1
-        model = moved(model, look.columns, step)
+        off = np.flatnonzero(step)  # only these: what else is in the library must not enter the model
+        columns = [look.columns[place] for place in off]
+        for column, by in zip(columns, step[off], strict=True):
+            changed[column.name] = (1 + changed.get(column.name, 0.0)) * (1 + float(by)) - 1
+        model = moved(model, columns, step[off])
         look = _looked(study, model, on_body)
     gain, probes = _gains_left(look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])

@@ -114,6 +114,15 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     assert abs(value - 3.0) < abs(blind - 3.0)
 
 
+def test_of_a_base_only_parameters_that_are_far_off_enter_the_model(plain):
+    """The rest of the library stays out of it, or nothing could be found to be missing any more."""
+    soft = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * 0.4, lame_mu=11.1 * 0.4)
+    known = from_base(Study([Scene.of(plain)]), soft, False)
+    assert "strain_stvk.lame_lambda" in known.changed
+    assert list(known.model.effects) == list(soft.effects)
+    assert {"mass_damping.rate", "strain_stvk.lame_mu"} <= set(known.correction)
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
