@@ -44,6 +44,7 @@ OWN = 1.5
 _CLOSE = 0.6  # of the best gain: what is refitted
 _EVEN = 0.85  # of the best gain: what tangents do not tell from it
 _ROLLED = 0.05  # of the misfit: by how much one roll-out must be better than another to mean anything
+_UNDECIDED = 0.01  # of the misfit: what a step must promise for another roll-out while the best is still looked for
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
 _FURTHER = 0.05  # of the misfit that is left: what a further effect must take away at least
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
@@ -200,9 +201,10 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
         fits = {score.group.label: _fitted(study, found, score, rounds) for score in near}
         shares = {label: each.share for label, each in fits.items()}
         chosen = _simplest(near, shares, sure_of_parameters)
-        label = chosen.group.label
-        fits[label] = refined(study, fits[label], last.variance, last.evidence.weight, f"fitting {label}")
-    best = fits[chosen.group.label]
+    label = chosen.group.label
+    best = fits[label]
+    if not best.converged:
+        best = refined(study, best, last.variance, last.evidence.weight, f"fitting {label}")
     since = changes(extended(last.model, best.columns), best.model, best.columns)
     more, _ = share_gone(_told(last, best.columns), best.evidence, since)
     if more < max(last.needed, _FURTHER if found.terms else 0.0):
@@ -216,7 +218,7 @@ def _told_by_tangents(
     """The best by tangents; where one with as few numbers is as good, roll-outs decide if they differ by enough."""
     chosen = _simplest(near, shares, True)
     even = [s for s in near if s.size <= chosen.size and s.gain >= _EVEN * chosen.gain]
-    fits = {score.group.label: _fitted(study, found, score, ROUNDS) for score in even}
+    fits = {score.group.label: _fitted(study, found, score, ROUNDS, _UNDECIDED) for score in even}
     misfits = {label: each.misfit for label, each in fits.items()}
     least = min(even, key=lambda score: misfits[score.group.label])
     if misfits[least.group.label] < misfits[chosen.group.label] - _ROLLED * found.screens[-1].misfit:
@@ -235,7 +237,7 @@ def _simplest(near: Sequence[Score], shares: dict[str, float], sure_of_parameter
     return min(first, key=lambda score: (score.size, -shares[score.group.label]))
 
 
-def _fitted(study: Study, found: Search, score: Score, rounds: int) -> Fit:
+def _fitted(study: Study, found: Search, score: Score, rounds: int, enough: float = 0.0) -> Fit:
     """An explanation fitted beside those accepted before, by a few steps."""
     first, last = found.screens[0], found.screens[-1]
     every, _ = columns_of(last.groups)
@@ -253,7 +255,7 @@ def _fitted(study: Study, found: Search, score: Score, rounds: int) -> Fit:
                 picked(first.responses, [known.index(c) for c in columns]), first.variance, start.evidence.weight
             ),
         )
-    return refined(study, start, last.variance, last.evidence.weight, what, rounds)
+    return refined(study, start, last.variance, last.evidence.weight, what, rounds, enough)
 
 
 def _told(screen: Screen, columns: Sequence[Column]) -> Evidence:

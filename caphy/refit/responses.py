@@ -69,7 +69,10 @@ class Watched:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: must be registered; register the point clouds first")
         self.scene, self.number, self.length = scene, number, length
-        self._steps: dict[int, np.ndarray] = {}  # what the time step does, told once per window: models differ little
+        # What the time step and errors of the start do to each window: a fit changes that little, so that it is told
+        # once, and what the start does anew whenever the whole library is looked at.
+        self._steps: dict[int, np.ndarray] = {}
+        self._starts: dict[int, np.ndarray] = {}
 
     @cached_property
     def projection(self) -> Projection:
@@ -104,13 +107,16 @@ class Watched:
             recorder.stages.clear()
             sharp = self._sharpened(states.state(frame), frame)
             state = states.state(frame) if sharp is None else sharp
-            errors = self._start(BLURRED if sharp is None else self._blur)
             run = roll_out(self.scene, simulator, state, frame, length=self.length)
+            if frame not in self._starts or pushes is not None:
+                errors = self._start(BLURRED if sharp is None else self._blur)
+            else:
+                errors = None
             moved = tangents.along(recorder.stages, errors, self.length, SUBSTEPS, SDIRK2())
             if frame not in self._steps:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
                 self._steps[frame] = (run.positions - rough.positions)[1:]
-            yield self._response(frame, run, moved[1:], self._steps[frame], moved.shape[1] - len(errors.x))
+            yield self._response(frame, run, moved[1:], 0 if errors is None else len(errors.x))
 
     @cached_property
     def _tracks(self) -> np.ndarray:
@@ -160,13 +166,14 @@ class Watched:
         x, v = np.concatenate([blur[0] * fields, zero]), np.concatenate([zero, blur[1] * fields])
         return Start(torch.from_numpy(x), torch.from_numpy(v))
 
-    def _response(self, frame: int, run: WindowRun, moved: np.ndarray, step: np.ndarray, count: int) -> Response:
+    def _response(self, frame: int, run: WindowRun, moved: np.ndarray, starts: int) -> Response:
+        """``moved`` (L, K + N, V, 3) ends with what ``starts`` errors of the start do, if they were asked for."""
         measurement = self.scene.measurement
         assert measurement.vertices is not None
         frames = run.frames[1:]
         away = measurement.vertices[frames] - run.positions[1:]
         seen = measurement.observed[frames]
-        fields = np.concatenate([away[:, None], step[:, None], moved], axis=1)  # (L, 2 + K + N, V, 3)
+        fields = np.concatenate([away[:, None], self._steps[frame][:, None], moved], axis=1)  # (L, 2 + K + N, V, 3)
         shape = (self.projection.modes.shape[1], 3, fields.shape[1])
         enough = seen.mean(axis=1) >= ENOUGH
         modal = np.stack(
@@ -176,9 +183,13 @@ class Watched:
             ]
         )
         error = np.where(seen, np.linalg.norm(away, axis=-1), np.nan)
-        changes, starts = modal[..., 2 : 2 + count], modal[..., 2 + count :]
-        nuisance = np.concatenate([modal[..., 1:2], starts], axis=-1)
-        return Response(self.number, frame, modal[..., 0], enough, changes, nuisance, error, run.converged[1:])
+        last = modal.shape[-1] - starts
+        if starts:
+            self._starts[frame] = modal[..., last:]
+        nuisance = np.concatenate([modal[..., 1:2], self._starts[frame]], axis=-1)
+        return Response(
+            self.number, frame, modal[..., 0], enough, modal[..., 2:last], nuisance, error, run.converged[1:]
+        )
 
 
 def watched(scenes: Sequence[Scene], length: int = LENGTH) -> list[Watched]:

@@ -245,9 +245,15 @@ def fit(
 
 
 def refined(
-    study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "fitting", rounds: int = ROUNDS
+    study: Study,
+    best: Fit,
+    variance: np.ndarray,
+    weight: np.ndarray,
+    what: str = "fitting",
+    rounds: int = ROUNDS,
+    enough: float = 0.0,
 ) -> Fit:
-    """A fit carried on."""
+    """A fit carried on until it has settled, or another step promises no more than ``enough`` of the misfit."""
     step = best.step
     for _ in range(rounds):
         there = moved(best.model, best.columns, step)
@@ -259,6 +265,8 @@ def refined(
             best, step = found, found.step
             if best.settled:
                 return replace(best, converged=True)
+            if best.promise < enough * best.misfit:
+                return best
         elif best.promise < _FUTILE * best.misfit:
             return best
         else:

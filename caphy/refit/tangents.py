@@ -21,7 +21,7 @@ from torch import Tensor
 
 from caphy.effects.base import BodyState, Elements, Step
 from caphy.effects.inertia import Inertia
-from caphy.effects.potential import Potential, Term
+from caphy.effects.potential import Potential, Term, planes
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, forces
 from caphy.solve.integrators import Integrator, Solve, State
@@ -31,7 +31,8 @@ from caphy.solve.rollout import Simulator
 HISTORY = ("origin", "target", "lagged", "lagged_velocity")
 """What a step remembers."""
 
-_NUDGE = 1e-7  # metres by which a history is moved to see what it does
+_NUDGE = 1e-9  # metres by which a history is moved to see what it does: friction bends within 1e-6
+_FEW = 12  # columns up to which differences along each cost less than a matrix
 
 
 Pushes = Callable[[Tensor, Step, BodyState | None], Tensor]
@@ -89,18 +90,21 @@ class Tangents:
         """
         self.scene, self.newton, self.candidates, self.columns = scene, newton, candidates, columns
         self.pushes = pushes
-        self._reads: dict[str, tuple[str, ...]] = {}  # which fields of the history each effect reads
         free = np.ones(len(scene.garment.vertices)) if scene.fixed is None else (~scene.fixed).astype(float)
         self._free = torch.from_numpy(free)[:, None]
 
     def along(
-        self, stages: Sequence[Stage], start: Start, frames: int, substeps: int, integrator: Integrator
+        self, stages: Sequence[Stage], start: Start | None, frames: int, substeps: int, integrator: Integrator
     ) -> np.ndarray:
         """Changes of the positions in each frame (frames + 1, K + N, V, 3) per unit of each column, start included."""
         dt = 1 / self.scene.measurement.fps
         pushes, bodies = self._pushes(stages), self._bodies(stages)
         zeros = torch.zeros_like(pushes[0])
-        state = State(0.0, torch.cat([zeros, start.x * self._free]), torch.cat([zeros, start.v * self._free]))
+        state = State(0.0, zeros, zeros)
+        if start is not None:
+            state = State(0.0, torch.cat([zeros, start.x * self._free]), torch.cat([zeros, start.v * self._free]))
+        if not len(state.x):
+            return np.zeros((frames + 1, *state.x.shape))
         place = iter(range(len(stages)))
 
         def solve(change: Step, time: float) -> Tensor:
@@ -124,18 +128,16 @@ class Tangents:
     def _of_history(self, stage: Stage, body: BodyState | None, change: Step) -> Tensor:
         """Change of the model's gradient (K, V, 3) with the step's history."""
         total = torch.zeros_like(change.target)
-        potential = self.newton.potential
-        for name, term, elements in potential.acting(stage.x, stage.step, body):
+        for _, term, elements in self.newton.potential.acting(stage.x, stage.step, body):
             if isinstance(term.effect, Inertia):
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
-            elif term.effect.needs_step or term.effect.reads_step:
-                for field in self._reads.get(name, HISTORY):
-                    matrix = _history_matrix(term, elements, field, len(stage.x))
-                    if matrix is None:
-                        self._reads[name] = tuple(f for f in self._reads.get(name, HISTORY) if f != field)
-                        continue
+            elif (term.effect.needs_step or term.effect.reads_step) and len(total) > _FEW:
+                for field in _read(term, elements):
                     by = getattr(change, field).numpy().reshape(len(total), -1)
+                    matrix = _history_matrix(term, elements, field, len(stage.x))
                     total += torch.from_numpy((matrix @ by.T).T).reshape(total.shape)
+            elif (term.effect.needs_step or term.effect.reads_step) and len(total):
+                total += _along_history(term, elements, change)
         return total
 
     def _bodies(self, stages: Sequence[Stage]) -> list[BodyState | None]:
@@ -162,11 +164,38 @@ class Tangents:
         return list(torch.cat(found, dim=1))
 
 
-def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_array | None:
-    """Derivative of one effect's gradient by a field of the history (3 V, 3 V); none where it does not read it.
+def _read(term: Term, e: Elements) -> tuple[str, ...]:
+    """The fields of the history that an effect's gradient depends on."""
+    here = term.effect.gradient(e, term.values)[1]
+    shaken = torch.rand(e.x.shape, generator=torch.Generator().manual_seed(0), dtype=e.x.dtype)
 
-    By differences in each element's own dozen coordinates.
-    """
+    def told(field: str) -> bool:
+        moved = replace(e, **{field: getattr(e, field) + _nudge(e, field) * (0.5 + shaken)})
+        return not torch.equal(term.effect.gradient(moved, term.values)[1], here)
+
+    return tuple(field for field in HISTORY if told(field))
+
+
+def _nudge(e: Elements, field: str) -> float:
+    assert e.dt is not None
+    return _NUDGE / e.dt if field == "lagged_velocity" else _NUDGE
+
+
+def _along_history(term: Term, e: Elements, change: Step) -> Tensor:
+    """What K changes of the history do to one effect's gradient (K, V, 3), by differences along each of them."""
+    by = {field: getattr(change, field) for field in HISTORY}  # (K, V, 3)
+    nudges = torch.stack([value.abs().amax((1, 2)) / _nudge(e, field) for field, value in by.items()]).amax(0)
+    nudges = torch.where(nudges > 0, nudges, 1.0)[:, None]  # how many of them each change is
+    fields = {field: getattr(e, field)[:, :, None] + term.gather(planes(v)) / nudges for field, v in by.items()}
+    body = None if e.body is None else {key: value[:, None] for key, value in e.body.items()}
+    wide = replace(e, x=e.x[:, :, None].expand_as(fields["origin"]), body=body, **fields)
+    here, after = (term.effect.gradient(each, term.values)[1] for each in (e, wide))
+    return term.scatter((after - here[:, :, None]) * nudges).movedim(0, -1)
+
+
+def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_array:
+    """Derivative of one effect's gradient by a field of the history (3 V, 3 V), by differences in each element's own
+    dozen coordinates."""
     corners, many = e.x.shape[0], e.x.shape[-1]
     basis = torch.eye(3 * corners, dtype=e.x.dtype).reshape(corners, 3, -1, 1)  # (k, 3, B, 1)
 
@@ -175,14 +204,10 @@ def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_arra
 
     body = None if e.body is None else {key: spread(value) for key, value in e.body.items()}
     fields = {name: spread(getattr(e, name)) for name in HISTORY}
-    wide = replace(e, x=spread(e.x), body=body, **fields)
-    assert e.dt is not None
-    nudge = _NUDGE / e.dt if field == "lagged_velocity" else _NUDGE
-    here = term.effect.gradient(wide, term.values)[1]
-    after = term.effect.gradient(replace(wide, **{field: fields[field] + nudge * basis}), term.values)[1]
-    if torch.equal(here, after):
-        return None
-    jacobian = ((after - here) / nudge).flatten(0, 1)  # (k c, B, n)
+    nudge = _nudge(e, field)
+    wide = replace(e, x=spread(e.x), body=body, **{**fields, field: fields[field] + nudge * basis})
+    here, after = (term.effect.gradient(each, term.values)[1] for each in (e, wide))
+    jacobian = ((after - here[:, :, None]) / nudge).flatten(0, 1)  # (k c, B, n)
     place = (3 * term.index.T[:, None, :] + torch.arange(3)[None, :, None]).flatten(0, 1)  # (k c, n)
     row, column = torch.broadcast_tensors(place[:, None], place[None])
     entries = (jacobian.numpy().ravel(), (row.numpy().ravel(), column.numpy().ravel()))

@@ -10,6 +10,7 @@ from explicit_cloth import measured, simulate
 
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
+from caphy.refit import tangents
 from caphy.refit.columns import Column, moved
 from caphy.refit.responses import Watched
 
@@ -73,6 +74,17 @@ def test_nuisances_are_derivatives_by_the_start(watched, number, monkeypatch):
     difference = -(there.residual - here.residual) / 0.01
     tangent = here.nuisance[..., number]
     assert np.linalg.norm(difference - tangent) < 0.02 * np.linalg.norm(tangent)
+
+
+def test_few_columns_and_many_are_told_alike(watched, monkeypatch):
+    """Of few columns the history is told along each, of many by matrices."""
+    model = DAMPED.with_effect("viscous_damping", viscosity=1.0).with_effect("hysteresis", friction=0.1)
+    columns = (Column("viscous_damping", "viscosity"), Column("air_drag_normal", "coefficient"))
+    responded(watched, model)  # what errors of the start do is known from here on
+    along = responded(watched, model, columns).columns
+    monkeypatch.setattr(tangents, "_FEW", 0)
+    by_matrices = responded(watched, model, columns).columns
+    assert np.abs(along - by_matrices).max() < 1e-4 * np.abs(by_matrices).max()
 
 
 def test_holes_leave_the_rest_of_a_window_as_it_was(watched):
