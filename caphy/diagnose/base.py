@@ -25,19 +25,18 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered
-from caphy.refit.columns import Column, moved
+from caphy.refit.columns import Column
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response
-from caphy.refit.study import Progress, Study, picked
+from caphy.refit.study import Progress, Study, fit, picked
 
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """How much corrections may be shrunk, in units of what the data say of each alone; windows left out choose."""
 
-_FAR = 0.3  # relative change of a parameter beyond which roll-outs must tell: stiffness does not act linearly
-_STEP = -0.5, 1.0  # at most at a time
-_ROUNDS = 3
+_OFF = 0.05  # of the misfit: what parameters must explain by themselves, in windows left out, to be moved for good
+_SURE = 20.0  # squared estimate over squared error of these
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,15 +110,13 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
     changed: dict[str, float] = {}
     look = _looked(study, model, on_body)
-    for _ in range(_ROUNDS):
-        step = _far(look)
-        if not step.any():
-            break
-        off = np.flatnonzero(step)  # only these: what else is in the library must not enter the model
-        columns = [look.columns[place] for place in off]
-        for column, by in zip(columns, step[off], strict=True):
-            changed[column.name] = (1 + changed.get(column.name, 0.0)) * (1 + float(by)) - 1
-        model = moved(model, columns, step[off])
+    off = _far_off(look, model)
+    if off:
+        every = look.columns
+        responses = picked(look.probed, [every.index(column) for column in off])
+        fitted = fit(study, model, off, responses, look.variance, look.known.weight, "parameters of the base")
+        changed = {column.name: float(by) for column, by in zip(off, fitted.change, strict=True)}
+        model = fitted.model
         look = _looked(study, model, on_body)
     gain, probes = _gains_left(look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])
@@ -155,11 +152,15 @@ def _gains_left(look: _Look, model: Model) -> tuple[float, float]:
     return best, max([0.0, *flexible.values()])
 
 
-def _far(look: _Look) -> np.ndarray:
-    """The changes (K,) of the model's own parameters where one of them is large, else none."""
-    own = np.array([column.entry is None for column in look.columns])
-    step = np.where(own, np.clip(look.change, *_STEP), 0.0)
-    return step if (np.abs(step) > _FAR).any() else 0 * step
+def _far_off(look: _Look, model: Model) -> list[Column]:
+    """The model's own parameters that by themselves explain so much of the base that they must be moved for good.
+
+    Stiffness does not act linearly, so that roll-outs must tell by how much; and nothing else may enter the model, or
+    it could not be found to be missing any more.
+    """
+    scores = screened(look.known, look.groups, look.places, model)
+    off = [s for s in scores if s.group.own and s.gain >= _OFF and s.wald >= _SURE]
+    return [column for score in off for column in score.group.columns if column.entry is None]
 
 
 def _left_out(known: Evidence, ridge: float) -> list[np.ndarray]:
