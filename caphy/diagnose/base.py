@@ -115,9 +115,10 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
         every = look.columns
         responses = picked(look.probed, [every.index(column) for column in off])
         fitted = fit(study, model, off, responses, look.variance, look.known.weight, "parameters of the base")
-        changed = {column.name: float(by) for column, by in zip(off, fitted.change, strict=True)}
-        model = fitted.model
-        look = _looked(study, model, on_body)
+        if fitted.change.any():  # roll-outs agreed
+            changed = {column.name: float(by) for column, by in zip(off, fitted.change, strict=True)}
+            model = fitted.model
+            look = _looked(study, model, on_body)
     gain, probes = _gains_left(look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])
     correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
