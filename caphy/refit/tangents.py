@@ -136,7 +136,7 @@ class Tangents:
                     by = getattr(change, field).numpy().reshape(len(total), -1)
                     matrix = _history_matrix(term, elements, field, len(stage.x))
                     total += torch.from_numpy((matrix @ by.T).T).reshape(total.shape)
-            elif (term.effect.needs_step or term.effect.reads_step) and len(total):
+            elif term.effect.needs_step or term.effect.reads_step:
                 total += _along_history(term, elements, change)
         return total
 
