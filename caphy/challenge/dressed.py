@@ -32,6 +32,12 @@ DRESSING = 1.0
 """Time from the T-pose to the run-up [s]."""
 FALLING = 10 / FPS
 """Time in T-pose before that [s], for the cloth to fall."""
+MOST_FLEXED = np.radians(60), np.radians(30)
+"""How far a hip may turn [rad], and at the first frame of the run-up, into which the body comes from its T-pose.
+
+In a squat cloth is caught in the groin and comes out turned inside out, a knot that stays: without contact of cloth
+with itself nothing keeps folds from passing through each other.
+"""
 
 FAMILIES = {
     "skirt": (Skirt(length=0.4, edge_length=0.041), Skirt(length=0.4, edge_length=0.031)),
@@ -45,6 +51,8 @@ ACTIONS: dict[Part, tuple[str, ...]] = {
     "base": ("legs", "turning"),
 }
 """What the body mostly does in each motion."""
+
+_HIPS = [JOINT_NAMES.index(f"{side}_hip") for side in ("left", "right")]
 
 WORN = MODEL.with_effect("attachment")
 """The fabric of the square, worn."""
@@ -120,7 +128,10 @@ def _motion(action: str, frames: int, random: np.random.Generator) -> PoseSequen
     whole = procedural_motion(int(random.integers(2**31)), 20.0, FINER * FPS)
     length = (round(RUN_UP * FPS) + frames - 1) * FINER
     vigour = np.convolve(_vigour(whole, action), np.ones(length), "valid")
-    first = int(vigour.argmax())
+    flexed = np.linalg.norm(whole.poses[:, _HIPS], axis=-1).max(axis=1)
+    most = np.lib.stride_tricks.sliding_window_view(flexed, length + 1).max(axis=1)
+    upright = (most <= MOST_FLEXED[0]) & (flexed[: len(most)] <= MOST_FLEXED[1])
+    first = int(np.where(upright, vigour, -np.inf).argmax())
     pelvis = default_body().rest()[1][0]
     taken = replace(whole[first : first + length + 1], pelvis=pelvis).turned(about_vertical(random.uniform(0, 360)))
     way = preroll_poses(taken, DRESSING).resample(FINER * FPS)[:-1]
@@ -136,7 +147,7 @@ def _vigour(motion: PoseSequence, action: str) -> np.ndarray:
     speed = motion.angular_speed()
     match action:
         case "legs":
-            return speed[:, [JOINT_NAMES.index(f"{side}_hip") for side in ("left", "right")]].sum(1)
+            return speed[:, _HIPS].sum(1)
         case "turning":
             return speed[:, 0]
         case "arms":
