@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 
 from caphy.body.surface import NearestPoints, Surface
 from caphy.effects.base import BodyState
+from caphy.solve.paths import path
 
 _REACH = 0.05  # cloth nearer than this is carried along by the surface [m]
 
@@ -20,14 +20,12 @@ class MeshBody:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, fps: float) -> None:
         """``vertices`` (T, B, 3) [m], ``faces`` (G, 3) wound outwards, ``fps`` [Hz]."""
-        self.fps, self.faces, self._last = fps, faces, (len(vertices) - 1) / fps
-        times = np.arange(len(vertices)) / fps
-        self._path = CubicSpline(times, vertices, bc_type="natural") if len(vertices) > 1 else lambda t: vertices[0]
+        self.fps, self.faces, self._path = fps, faces, path(vertices, fps)
         self._surface = Surface.of(faces, vertices[0])
 
     def vertices(self, time: float) -> np.ndarray:
         """Positions (B, 3) [m] at a time [s]."""
-        return np.asarray(self._path(min(max(time, 0.0), self._last)))
+        return self._path(time)
 
     def nearest(self, time: float, x: np.ndarray) -> NearestPoints:
         """Nearest points of the surface at a time [s] for positions x (V, 3) [m]."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from caphy.body.bundled import default_body
@@ -23,6 +22,7 @@ from caphy.io.poses import PoseSequence
 from caphy.measure.mesh_body import MeshBody
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
+from caphy.solve.paths import path
 from caphy.solve.rollout import Simulator
 
 
@@ -147,11 +147,5 @@ def _pins(measurement: Measurement, count: int) -> tuple[np.ndarray | None, Call
     fixed = np.zeros(count, bool)
     fixed[measurement.pinned] = True
     order = np.argsort(measurement.pinned)
-    positions = measurement.pinned_positions[:, order]
-    last = (len(positions) - 1) / measurement.fps
-    path = CubicSpline(np.arange(len(positions)) / measurement.fps, positions)
-
-    def pins(time: float) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(path(min(max(time, 0.0), last))))
-
-    return fixed, pins
+    held = path(measurement.pinned_positions[:, order], measurement.fps)
+    return fixed, lambda time: torch.from_numpy(np.ascontiguousarray(held(time)))

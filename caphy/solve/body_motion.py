@@ -15,7 +15,8 @@ from caphy.body.surface import NearestPoints, Surface, nearest_on_faces
 from caphy.effects.base import BodyState
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
-from caphy.rotations import axis_angle_from_quaternion, matrix_from_axis_angle, quaternion_from_axis_angle, slerp
+from caphy.rotations import axis_angle_from_quaternion, matrix_from_axis_angle, quaternion_from_axis_angle
+from caphy.solve.paths import path
 
 REACH = 0.05
 """Distance from the body beyond which a first guess ignores it [m]."""
@@ -30,8 +31,8 @@ class BodyMotion:
     """A body model moving through a pose sequence, and the garment worn on it.
 
     Time runs in seconds from the first frame; before the first and after the last frame the body stands still.
-    Between frames joint rotations are interpolated by slerp and the root's translation linearly, so that limbs keep
-    their lengths. Everything is numpy float64 in the world frame (y up) except :class:`BodyState`, which is torch.
+    Between frames joint rotations and the root's translation follow splines (:mod:`caphy.solve.paths`), so that limbs
+    keep their lengths. Everything is numpy float64 in the world frame (y up) except :class:`BodyState`, which is torch.
 
     Attributes:
         body, poses, garment: as given; ``poses`` with y up.
@@ -44,7 +45,8 @@ class BodyMotion:
         self._joints = body.rest(betas)[1]
         self.poses = poses.to_y_up(self._joints[0])
         self.fps = self.poses.fps
-        self._quaternions = quaternion_from_axis_angle(self.poses.poses)
+        self._turned = path(_unbroken(quaternion_from_axis_angle(self.poses.poses)), self.fps)
+        self._moved = path(self.poses.transl, self.fps)
         self._surface = Surface.of(body.faces, body.v_template)
         self._faces = np.zeros(0, dtype=np.int64)  # answers of the last query, which speed up the next
         self._last: tuple[float, np.ndarray, NearestPoints] | None = None  # time, positions and answers
@@ -62,13 +64,10 @@ class BodyMotion:
 
     def pose(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint rotations (N, 55, 3) [rad] and translations (N, 3) [m] at times (N,) [s]."""
-        place = np.clip(np.atleast_1d(times) * self.fps, 0, len(self) - 1)
-        first = np.minimum(place.astype(int), max(len(self) - 2, 0))
-        second = np.minimum(first + 1, len(self) - 1)
-        fraction = (place - first)[:, None]
-        mixed = slerp(self._quaternions[first], self._quaternions[second], fraction)
-        transl = self.poses.transl[first] + fraction * (self.poses.transl[second] - self.poses.transl[first])
-        return axis_angle_from_quaternion(mixed), transl
+        times = np.atleast_1d(times)
+        turned = self._turned(times)
+        turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
+        return axis_angle_from_quaternion(turned), self._moved(times)
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
         """Body vertices (N, B, 3) [m] at times (N,) [s]; the last few are remembered."""
@@ -161,6 +160,12 @@ class BodyMotion:
         if time != self._anchor_time:
             self._anchor_time, self._anchors = time, self.anchors(np.array([time]))[0]
         return self._anchors
+
+
+def _unbroken(quaternions: np.ndarray) -> np.ndarray:
+    """The same rotations (T, ..., 4) by quaternions that never change sides: q and -q are one rotation."""
+    away = (quaternions[1:] * quaternions[:-1]).sum(-1, keepdims=True) < 0
+    return np.concatenate([quaternions[:1], quaternions[1:] * np.cumprod(np.where(away, -1.0, 1.0), axis=0)])
 
 
 def state_on_faces(
