@@ -1,0 +1,21 @@
+"""Garments on moving bodies, as the challenge simulates them."""
+
+import numpy as np
+
+from caphy.challenge.dressed import skirt
+from caphy.challenge.hidden import ONE
+from caphy.challenge.recording import played
+from caphy.effects.cloth import Cloth
+
+
+def test_a_blown_skirt_comes_into_the_picture_without_knots():
+    """Cloth that was caught in the groin is stretched to 1.11 around its knot and squeezed to 0.86 within it."""
+    stage = skirt(11, 48)
+    play = next(play for play in stage.plays if play.part == "train")
+    hidden = ONE["wind_normal"].drawn("skirt", np.random.default_rng([11, 1]))
+    (state,) = played(stage, play, hidden, 1)
+    cloth = Cloth.of(stage.truth, stage.model.density)
+    a, b, c = (state.x.numpy()[cloth.faces[:, k]] for k in range(3))
+    stretches = np.linalg.svd(np.stack([b - a, c - a], -1) @ cloth.face_inverse, compute_uv=False)
+    assert stretches.max() < 1.08
+    assert stretches.min() > 0.88
