@@ -41,7 +41,7 @@ bench-monocular: $(VENV)/.dev $(VENV)/.monocular  ## films with known truth thro
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.monocular $(MOCAP) --python $(VENV)/monocular/bin/python
 
 MOCAP ?= cmu_mocap
-STEPS ?= 6000
+STEPS ?= 20000
 UNSEEN = $(MOCAP)/bvh/131_01.bvh $(wildcard $(MOCAP)/bvh_from_expmap/test_*.bvh)
 WEAR   = $(BIN)/caphy train caphy/data/garments/$(1).npz $(MOCAP)/bvh $(MOCAP)/bvh_from_expmap \
 	--held-out $(UNSEEN) --made-up 12 --steps $(STEPS) -o runs/$(1)

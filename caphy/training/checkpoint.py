@@ -12,7 +12,7 @@ from torch.optim import Optimizer
 from caphy.errors import CaphyError
 from caphy.network.files import read_tensors, write_tensors
 
-FORMAT = "caphy-training-1"
+FORMAT = "caphy-training-2"
 NAME = "checkpoint.safetensors"
 
 
