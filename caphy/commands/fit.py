@@ -53,6 +53,9 @@ class Fit:
     """Decides the split and what training draws."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where to train."""
+    processes: int = 1
+    """Among how many processes each training's streams are divided, as torchrun does: 1, 2, 4 or 8. On cuda each has
+    a GPU of its own."""
 
 
 def main(arguments: list[str]) -> int:
@@ -88,6 +91,8 @@ def _check(options: Fit) -> None:
         value = getattr(options, name)
         if value is not None and not value > 0:
             raise CaphyError(f"--{name.replace('_', '-')} must be positive, got {value}")
+    if options.processes not in (1, 2, 4, 8):
+        raise CaphyError(f"--processes must divide the 8 streams of a training: 1, 2, 4 or 8, got {options.processes}")
     if options.fabric_scans < 3:
         raise CaphyError(f"--fabric-scans must be at least 3, got {options.fabric_scans}")
     fabric(options.fabric)

@@ -10,6 +10,7 @@ from typing import Literal
 
 from caphy.commands.fit_scans import CHECKED, LABELLED, LABELS, SCANS, check_scans, read, segment_scans
 from caphy.errors import CaphyError
+from caphy.pipeline.processes import run_shared
 from caphy.pipeline.stage import Stage
 
 AVATAR, FABRIC, PAGE = "avatar", "fabric.json", "report.html"
@@ -40,6 +41,7 @@ class Plan:
     licence: str | None
     seed: int
     device: str
+    processes: int
 
     def shared(self, share: float) -> list[str]:
         """Options of a training that gets a share of the minutes, or of the steps where these are given."""
@@ -130,11 +132,14 @@ def kinds(run: Path) -> list[str]:
     return list(reversed(read(run, LABELLED)["kinds"]))
 
 
-def _command(name: str, *arguments: str | Path) -> None:
+def _command(name: str, *arguments: str | Path, processes: int = 1) -> None:
     """Run a command as a user would; its line goes into the log."""
     words = [str(argument) for argument in arguments]
     print(f"$ caphy {name.replace('_', '-')} {' '.join(words)}", flush=True)
-    status = importlib.import_module(f"caphy.commands.{name}").main(words)
+    if processes > 1:
+        status = run_shared([name, *words], processes)
+    else:
+        status = importlib.import_module(f"caphy.commands.{name}").main(words)
     if status == 130:  # 'caphy train' ends so when it is interrupted
         raise KeyboardInterrupt
     if status:
@@ -191,7 +196,7 @@ def _train_one(plan: Plan, kind: str, folder: Path, share: float, physics: Seque
     resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
     options = [*plan.shared(share / len(kinds(plan.run))), "--seed", str(plan.seed), "--device", plan.device]
     where = [plan.run / f"{kind}.npz", *plan.poses, "-o", folder, "--scans", plan.run]
-    _command("train", *where, *physics, *options, *resume)
+    _command("train", *where, *physics, *options, *resume, processes=plan.processes)
 
 
 def _fabric(plan: Plan) -> None:

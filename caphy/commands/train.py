@@ -130,6 +130,20 @@ def _check(options: Train) -> None:
         raise CaphyError(f"{options.output} holds a training already: add --resume, or give another folder with -o")
 
 
+def _take_device(device: str) -> None:
+    """Use a GPU, where one is asked for; of several processes on one machine each takes its own."""
+    import torch
+
+    if device == "cpu":
+        return
+    if not torch.cuda.is_available():
+        raise CaphyError(f"--device {device}: torch finds no CUDA device here; use --device cpu")
+    process = int(os.environ.get("LOCAL_RANK", "0"))
+    if process >= torch.cuda.device_count():
+        raise CaphyError(f"each process needs a GPU of its own: start {torch.cuda.device_count()}, not {process + 1}")
+    torch.cuda.set_device(process)
+
+
 def prepare(options: Train, record: bool = True) -> Trainer:
     """A trainer ready to run, and its folder with garment, model and a record of what is trained."""
     import numpy as np
@@ -148,8 +162,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     from caphy.training.objective import Objective
     from caphy.training.validate import SHORTEST
 
-    if options.device != "cpu" and not torch.cuda.is_available():
-        raise CaphyError(f"--device {options.device}: torch finds no CUDA device here; use --device cpu")
+    _take_device(options.device)
     torch.manual_seed(options.seed)
     for file in options.effect_file:
         register_file(file)

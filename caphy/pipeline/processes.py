@@ -1,0 +1,33 @@
+"""A command of caphy shared by several processes, as torchrun does it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+
+from caphy.errors import CaphyError
+
+
+def run_shared(words: Sequence[str], processes: int) -> int:
+    """Run ``caphy`` with arguments ``words`` in processes that find each other, and pass on what they print.
+
+    Returns:
+        The exit status; 130 if it was interrupted, once all processes have ended.
+    """
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    command = [*torchrun, "-m", "caphy.cli", *words]
+    try:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+            assert running.stdout is not None
+            try:
+                for line in running.stdout:
+                    print(line, end="", flush=True)
+            except KeyboardInterrupt:
+                running.send_signal(signal.SIGINT)
+                running.wait()
+                return 130
+            return running.wait()
+    except OSError as error:
+        raise CaphyError(f"cannot start {processes} processes with {sys.executable}: {error}") from error
