@@ -24,6 +24,9 @@ ASIDE = (
 )
 """These take long or need arguments; run only by name, by themselves or by a target of their own."""
 
+ALONE = {"solver_speed": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}}
+"""Environments: its matrices are small, two threads of one do not help each other."""
+
 
 def main(names: list[str]) -> int:
     known = [
@@ -36,7 +39,8 @@ def main(names: list[str]) -> int:
     failed = []
     for name in names or [name for name in known if name not in ASIDE]:
         print(f"\n== {name}", flush=True)
-        if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], env=os.environ, check=False).returncode:
+        environment = os.environ | ALONE.get(name, {})
+        if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], env=environment, check=False).returncode:
             failed.append(name)
     if failed:
         print(f"\nfailed: {', '.join(failed)}", file=sys.stderr)
