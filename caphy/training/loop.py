@@ -125,7 +125,7 @@ class Trainer:
         self.learner = Learner(network, stiffness(objective.potential, network.fps)).to(device)
         self.model = self.learner
         if self.world > 1:
-            self.model = torch.nn.parallel.DistributedDataParallel(self.learner, broadcast_buffers=False)
+            self.model = torch.nn.parallel.DistributedDataParallel(self.learner, forward_sync_buffers=False)
         weights, biases = ([p for p in self.learner.parameters() if p.ndim == n] for n in (2, 1))
         decay = DECAY if scans is None else 0.0
         groups = [{"params": weights, "weight_decay": decay}, {"params": biases, "weight_decay": 0.0}]
