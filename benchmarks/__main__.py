@@ -24,8 +24,8 @@ ASIDE = (
 )
 """These take long or need arguments; run only by name, by themselves or by a target of their own."""
 
-ALONE = {"solver_speed": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}}
-"""Environments: its matrices are small, two threads of one do not help each other."""
+ENVIRONMENTS = {"solver_speed": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}}
+"""Variables for some of them: the solver's matrices are small, and two threads take twice its processor time."""
 
 
 def main(names: list[str]) -> int:
@@ -39,7 +39,7 @@ def main(names: list[str]) -> int:
     failed = []
     for name in names or [name for name in known if name not in ASIDE]:
         print(f"\n== {name}", flush=True)
-        environment = os.environ | ALONE.get(name, {})
+        environment = os.environ | ENVIRONMENTS.get(name, {})
         if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], env=environment, check=False).returncode:
             failed.append(name)
     if failed:

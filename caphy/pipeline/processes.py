@@ -20,9 +20,10 @@ def run_shared(words: Sequence[str], processes: int) -> int:
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
     command = [*torchrun, "-m", "caphy.cli", *words]
     environment = {"OMP_NUM_THREADS": "1"} | os.environ  # what torchrun sets, without its telling so
-    kept = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "env": environment}
     try:
-        with subprocess.Popen(command, **kept) as running:
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+        ) as running:
             assert running.stdout is not None
             try:
                 for line in running.stdout:
