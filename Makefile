@@ -46,13 +46,22 @@ UNSEEN = $(MOCAP)/bvh/131_01.bvh $(wildcard $(MOCAP)/bvh_from_expmap/test_*.bvh)
 WEAR   = $(BIN)/caphy train caphy/data/garments/$(1).npz $(MOCAP)/bvh $(MOCAP)/bvh_from_expmap \
 	--held-out $(UNSEEN) --made-up 12 --steps $(STEPS) -o runs/$(1)
 avatar: $(VENV)/.dev           ## train the bundled default avatar again: make -j2 avatar MOCAP=folder-of-CMU-clips; resumes
-	$(MAKE) runs/trousers/validation.json runs/tshirt/validation.json
-	$(BIN)/caphy export runs/trousers runs/tshirt -o caphy/data/avatars/default
+	$(MAKE) runs/trousers/.trained runs/tshirt/.trained
+	$(MAKE) runs/collided/.trained
+	$(MAKE) runs/collided/trousers/validation.json runs/collided/tshirt/validation.json
+	$(BIN)/caphy export runs/collided/trousers runs/collided/tshirt -o caphy/data/avatars/default
 
-runs/%/validation.json: export OMP_NUM_THREADS = 1
-runs/%/validation.json:        # one core for each garment
-	$(call WEAR,$*) $(if $(wildcard runs/$*/checkpoint.safetensors),--resume)
-	$(BIN)/caphy validate runs/$* --seconds 0.25
+# one core for each garment
+runs/%: export OMP_NUM_THREADS = 1
+RESUME = $(if $(wildcard $(@D)/checkpoint.safetensors),--resume)
+runs/collided/.trained:
+	$(BIN)/caphy collide runs/trousers runs/tshirt -o $(@D) $(RESUME)
+	touch $@
+runs/%/.trained:
+	$(call WEAR,$*) $(RESUME)
+	touch $@
+runs/collided/%/validation.json:
+	$(BIN)/caphy validate $(@D) --seconds 0.25
 
 $(VENV)/.python:
 	$(PYTHON) -m venv $(VENV)

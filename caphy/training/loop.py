@@ -149,13 +149,17 @@ class Trainer:
         loss = track.advance(self.model)[1]
         self._require_finite(loss.detach().sum())
         self.optimizer.zero_grad()
-        (loss if self.scans is not None else evened(loss, self.usual)).mean().backward()
+        self.averaged(loss).backward()
         self._require_finite(*(p.grad for p in self.learner.parameters() if p.grad is not None))
         self.optimizer.step()
         self.progress.step += 1
         if self.scans is not None and track is self.scan_track:
             self.progress.distances.append(self.scans.loss.distance)
         return float(loss.detach().mean())
+
+    def averaged(self, loss: Tensor) -> Tensor:
+        """Losses of windows [J] as one number to descend: their mean, evened where physics alone teaches."""
+        return (loss if self.scans is not None else evened(loss, self.usual)).mean()
 
     def _turn(self) -> Track:
         """Whose turn the next step is."""
