@@ -41,9 +41,12 @@ with itself nothing keeps folds from passing through each other.
 
 FAMILIES = {
     "skirt": (Skirt(length=0.4, edge_length=0.041), Skirt(length=0.4, edge_length=0.031)),
-    "tshirt": (Tshirt(edge_length=0.041), Tshirt(edge_length=0.033)),
+    "tshirt": (Tshirt(edge_length=0.028), Tshirt(edge_length=0.022)),
 }
-"""The user's mesh and the truth's."""
+"""The user's mesh and the truth's.
+
+Of 4.1 and 3.3 cm the user's T-shirt could not lie as the truth's sleeves do: a face in twenty was squeezed by a quarter,
+and the shirt slid over the body by 28 mm in eight frames where it now moves by 6."""
 
 ACTIONS: dict[Part, tuple[str, ...]] = {
     "train": ("legs", "turning", "arms"),

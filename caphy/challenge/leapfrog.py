@@ -28,8 +28,9 @@ from caphy.solve.integrators import State
 
 RATE = 960.0
 """Kicks per second [Hz]: 16 times as many as the diagnosis takes steps."""
-RATE_ON_BODY = 3600.0
-"""Fewest short steps per second in contact with a body, whose push is stiff [Hz]."""
+RATE_ON_BODY = 7200.0
+"""Fewest short steps per second in contact with a body, whose push is stiff [Hz]; at half of it a T-shirt of 2.2 cm edges
+flew apart while it was put on."""
 
 FRICTION = "body_friction"
 VISCOSITY = "viscous_damping"
@@ -87,10 +88,6 @@ class Leapfrog:
             for kick in range(kicks):
                 self._advance(now, state.time + frame / fps + (kick + 1) / (kicks * fps), planes)
                 now.v *= 1 - calming / (kicks * fps)
-            if not np.isfinite(now.x).all():
-                raise CaphyError(
-                    f"the cloth flew apart at {now.time:.2f} s; {self.rate:.0f} steps per second are too few"
-                )
             x, v = torch.from_numpy(now.x.copy()), torch.from_numpy(now.v.copy())
             states.append(State(state.time + (frame + 1) / fps, x, v))
         return states
@@ -105,6 +102,10 @@ class Leapfrog:
             now.v += 0.5 * dt * self._inverse * now.fast
             now.x += dt * now.v
             now.time += dt
+            if not np.isfinite(now.x).all():
+                raise CaphyError(
+                    f"the cloth flew apart at {now.time:.2f} s; {self.rate:.0f} steps per second are too few"
+                )
             if self.drive.fixed is not None:
                 now.x[self.drive.fixed], now.v[self.drive.fixed] = path(now.time)
             self._feel_fast(now, dt, planes)

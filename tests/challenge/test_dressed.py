@@ -1,11 +1,14 @@
 """Garments on moving bodies, as the challenge simulates them."""
 
 import numpy as np
+import pytest
 
 from caphy.challenge.dressed import skirt
 from caphy.challenge.hidden import ONE
+from caphy.challenge.leapfrog import Leapfrog
 from caphy.challenge.recording import played
 from caphy.effects.cloth import Cloth
+from caphy.errors import CaphyError
 
 
 def test_a_blown_skirt_comes_into_the_picture_without_knots():
@@ -19,3 +22,10 @@ def test_a_blown_skirt_comes_into_the_picture_without_knots():
     stretches = np.linalg.svd(np.stack([b - a, c - a], -1) @ cloth.face_inverse, compute_uv=False)
     assert stretches.max() < 1.08
     assert stretches.min() > 0.88
+
+
+def test_cloth_that_flies_apart_is_told(monkeypatch):
+    monkeypatch.setattr(Leapfrog, "_stable_rate", lambda self: 300.0)
+    stage = skirt(11, 48)
+    with pytest.raises(CaphyError, match="flew apart at -.* s; 300 steps per second are too few"):
+        played(stage, stage.plays[0], ONE["wind_normal"].drawn("skirt", np.random.default_rng(1)), 1)
