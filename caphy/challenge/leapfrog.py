@@ -29,8 +29,9 @@ from caphy.solve.integrators import State
 RATE = 960.0
 """Kicks per second [Hz]: 16 times as many as the diagnosis takes steps."""
 RATE_ON_BODY = 7200.0
-"""Fewest short steps per second in contact with a body, whose push is stiff [Hz]; at half of it a T-shirt of 2.2 cm edges
-flew apart while it was put on."""
+"""Fewest short steps per second in contact with a body, whose push is stiff [Hz].
+
+At half of it a T-shirt of 2.2 cm edges flew apart while it was put on."""
 
 FRICTION = "body_friction"
 VISCOSITY = "viscous_damping"

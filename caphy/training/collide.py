@@ -25,7 +25,7 @@ EPOCHS = 10
 LEAST_STEPS = 30
 """Steps of an epoch of random poses, and of one of the scans', at least."""
 LEARNING_RATE = 3e-4
-"""Above the rate at which a training ends, below the one it had: at 5e-4 finished networks lost what they had learnt."""
+"""Above the rate at which a training ends, below the one it had: at 5e-4 finished networks lose what they know."""
 USUAL_CONTACT = 0.02
 """Contact between garments [J] beyond which a frame counts for less: five vertices that have just changed places.
 
