@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,6 +21,7 @@ from caphy.training.loop import METRICS, NETWORK, Schedule, Trainer, evened, for
 from caphy.training.scans import ScanStreams
 from caphy.training.streams import HELD_WINDOWS, Streams
 from caphy.training.track import Track
+from caphy.training.validate import SETTLED, validate
 
 EPOCHS = 10
 """Epochs of fine-tuning (CaPhy, section 3.5)."""
@@ -34,6 +37,17 @@ STRONGEST = 2.0
 """Largest gradient of the contact in gradients of all else: a pose in which much collides must not undo the others."""
 DEEP = 0.001
 """A vertex deeper than this on the wrong side of another garment counts as a collision [m]."""
+
+
+EVERY = 5
+"""Every so many frames collisions are counted."""
+
+
+class Collisions(NamedTuple):
+    """How many vertices lie deep on the wrong side of another garment, and how many meet one."""
+
+    deep: int
+    met: int
 
 
 class Collider:
@@ -73,6 +87,8 @@ class Collider:
         """Steps of an epoch, those on random poses and those on scans."""
         self.schedule = Schedule(epochs * self.epoch_steps, None, streams, LEARNING_RATE, warm_up=20)
         self.done, self.seconds = 0, 0.0
+        self.before: Collisions | None = None
+        """Collisions of the networks as they were given."""
         folder.mkdir(parents=True, exist_ok=True)
         self.contact = 0.0
         """Mean energy [J] of contact between the garments in the last step."""
@@ -105,8 +121,10 @@ class Collider:
             parameter.grad = one + share * other
 
     def run(self) -> None:
-        """Fine-tune to the end, saving after every epoch."""
+        """Fine-tune to the end, saving after every epoch; then validate, and count collisions before and after."""
         assert self.schedule.steps is not None
+        if self.done == 0:
+            self.before = self.collisions()
         while self.done < self.schedule.steps:
             started, losses, contacts = time.monotonic(), [], []
             for _ in range(self.epoch_steps):
@@ -115,8 +133,32 @@ class Collider:
             self.seconds += time.monotonic() - started
             self._log(float(np.mean(losses)), float(np.mean(contacts)))
             self.save()
-        for training in self.trainings:
+        for name, training in zip(self.names, self.trainings, strict=True):
             training.learner.fold(training.network)
+            if training.held_out is not None:
+                found = validate(training.network, training.objective, training.held_out).summary()
+                line = {"step": self.done, "seconds": round(self.seconds, 1), "validation": found}
+                (self.folder / name / METRICS).write_text(json.dumps(line) + "\n")
+        before, after = self.before, self.collisions()
+        if before is not None and after is not None:
+            self.say(
+                f"vertices over {1e3 * DEEP:g} mm on the wrong side of another garment, on motions held out: "
+                f"{before.deep} of {before.met} before, {after.deep} of {after.met} now"
+            )
+
+    @torch.no_grad()
+    def collisions(self) -> Collisions | None:
+        """Of the networks as they are, in each fifth frame of motions held out; none without such motions."""
+        motions = self.trainings[0].held_out
+        if motions is None:
+            return None
+        depths = []
+        for first, last in pairwise(motions.starts.tolist()):
+            clip = slice(first, last)
+            streams = [t.network.stream(motions.poses[clip], motions.transl[clip]) for t in self.trainings]
+            depths += [self.layers.depths(frame) for frame in zip(*(x[SETTLED::EVERY] for x in streams), strict=True)]
+        found = np.concatenate(depths)
+        return Collisions(int((found > DEEP).sum()), len(found))
 
     def save(self) -> None:
         """Write the networks and the checkpoint."""
@@ -138,6 +180,7 @@ class Collider:
         Raises:
             CaphyError: there is none, it is damaged or of other garments.
         """
+        self.before = self.collisions()
         states, progress = load_checkpoint(self.folder, self._modules(), self.optimizer)
         for what, own in (("names", self.names), ("steps", self.schedule.steps)):
             if progress[what] != own:

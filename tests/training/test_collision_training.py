@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,21 +47,21 @@ def alone(folder: Path, layer: int) -> Trainer:
     torch.manual_seed(layer)
     garment, body, model = sized(SIZES[layer]), default_body(), snug_model()
     network = GarmentNetwork(garment.vertices, garment.weights, body.joints, layers=1, width=24)
-    motions = Motions.of([swaying(60, 0)], body, network.driving, 30.0)
+    motions, held_out = (Motions.of([swaying(60, seed)], body, network.driving, 30.0) for seed in (0, 8))
     potential = Potential(model, Cloth.of(garment, model.density), torch.float32)
     objective = Objective(potential, body, network.template, network.weights, 30.0)
     schedule = Schedule(8, None, 4)
-    trainer = Trainer(folder, network, objective, motions, None, schedule, 0, say=lambda text: None)
+    trainer = Trainer(folder, network, objective, motions, held_out, schedule, 0, say=lambda text: None)
     for step in range(8):
         trainer.step(step / 8)
     trainer.learner.fold(network)
     return trainer
 
 
-def collider(folder: Path, layers: int, epochs: int, monkeypatch) -> Collider:
+def collider(folder: Path, layers: int, epochs: int, monkeypatch, say=lambda text: None) -> Collider:
     monkeypatch.setattr("caphy.training.collide.LEAST_STEPS", 16)
     trainings = [alone(folder, layer) for layer in range(layers)]
-    return Collider(folder, NAMES[:layers], trainings, epochs, streams=4, say=lambda text: None)
+    return Collider(folder, NAMES[:layers], trainings, epochs, streams=4, say=say)
 
 
 def deep(layers: Layers, networks: list[GarmentNetwork]) -> int:
@@ -73,7 +74,8 @@ def deep(layers: Layers, networks: list[GarmentNetwork]) -> int:
 
 
 def test_collisions_of_three_layers_go_also_in_poses_not_trained_on(tmp_path, monkeypatch):
-    together = collider(tmp_path, 3, 10, monkeypatch)
+    said = []
+    together = collider(tmp_path, 3, 10, monkeypatch, said.append)
     networks = [training.network for training in together.trainings]
     before = deep(together.layers, networks)
     together.run()
@@ -81,7 +83,11 @@ def test_collisions_of_three_layers_go_also_in_poses_not_trained_on(tmp_path, mo
     lines = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == list(range(16, 161, 16))
     assert lines[-1]["contact_J"] < 0.2 * lines[0]["contact_J"]
+    old, new = (int(n) for n in re.findall(r"(\d+) of \d+", said[-1]))
+    assert old > 300 and new <= 0.05 * old and new == together.collisions().deep
     for name, network in zip(NAMES, networks, strict=True):
+        found = json.loads((tmp_path / name / "metrics.jsonl").read_text())
+        assert found["step"] == 160 and np.isfinite(found["validation"]["potential_J"])
         assert torch.equal(load_network(tmp_path / name / NETWORK).head.weight, network.head.weight)
 
 
@@ -94,7 +100,7 @@ def test_stopped_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
     broken.step()  # lost
     again = collider(tmp_path / "broken", 2, 2, monkeypatch)
     again.resume()
-    assert again.done == again.epoch_steps
+    assert again.done == again.epoch_steps and again.before == whole.before
     again.run()
     for one, two in zip(whole.learners.parameters(), again.learners.parameters(), strict=True):
         assert torch.equal(one, two)
