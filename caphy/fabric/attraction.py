@@ -94,20 +94,18 @@ class _Attraction(Effect):
     reference = "Chen, Medioni, Object modelling by registration of multiple range images, 1992 (point to plane)"
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        return (e.x * (0.5 * self._pulled(e) - e.rest["pull"])).sum((0, 1)) + e.rest["constant"]
+        return self.gradient(e, p)[0]
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
-        return self.energy(e, p), self._pulled(e) - e.rest["pull"]
+        held = (e.rest["matrix"] * e.x).sum((2, 3))
+        energy = (e.x * (0.5 * held - e.rest["pull"])).sum((0, 1)) + e.rest["constant"]
+        return energy, held - e.rest["pull"]
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
         return e.rest["matrix"]
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         return e.rest["matrix"]
-
-    @staticmethod
-    def _pulled(e: Elements) -> Tensor:
-        return torch.einsum("kcldn,ldn->kcn", e.rest["matrix"], e.x)
 
 
 class AttractedPotential(Potential):
