@@ -41,7 +41,7 @@ class Fit:
     """The measured fabric to start from."""
     fabric_rounds: int = 8
     """Rounds of the fit of the fabric, at most."""
-    fabric_scans: int = 60
+    fabric_scans: int = 20
     """Scans that the fabric is fitted to, at most; at least 3."""
     collision_epochs: int = 10
     """How long to fine-tune against collisions, in passes through the scans' poses."""

@@ -94,7 +94,7 @@ def stages(plan: Plan, count: int) -> list[Stage]:
             "fabric", "fitting the fabric to the scans", lambda: _fabric(plan),
             inputs=(*subject, run / "train"), outputs=(run / FABRIC,),
             options={"fabric": plan.fabric, "rounds": plan.fabric_rounds, "scans": plan.fabric_scans},
-            seconds=30 + min(count, plan.fabric_scans) * (14 + 6 * plan.fabric_rounds), may_fail=True,
+            seconds=30 + min(count, plan.fabric_scans) * (50 + 10 * plan.fabric_rounds), may_fail=True,
         ),
         Stage(
             "refine", "training on under the fabric found", lambda: _refine(plan),
