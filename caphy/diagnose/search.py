@@ -94,12 +94,20 @@ class Term:
 
 @dataclass(eq=False)
 class Search:
-    """How the search went; ``screens`` has one more entry than ``terms``."""
+    """How the search went; ``screens`` has one entry for the start and one for each round."""
 
     screens: list[Screen] = field(default_factory=list)
     terms: list[Term] = field(default_factory=list)
     removed: list[str] = field(default_factory=list)
     fit: Fit | None = None
+
+    def accept(self, term: Term) -> None:
+        """Add a term, or put it in the place of the same one, which was fitted on."""
+        labels = [other.group.label for other in self.terms]
+        if term.group.label in labels:
+            self.terms[labels.index(term.group.label)] = term
+        else:
+            self.terms.append(term)
 
     @property
     def taken(self) -> float:
@@ -127,11 +135,11 @@ def search(
     """
     found = Search()
     found.screens.append(screen(study, model, original, on_body, base))
-    while len(found.terms) < MOST_TERMS:
+    for _ in range(MOST_TERMS):
         term = _next_term(study, found, base is not None)
         if term is None:
             break
-        found.terms.append(term)
+        found.accept(term)
         found.fit = term.fit
         found.screens.append(screen(study, term.fit.model, original, on_body, base, found.screens[0]))
     _eliminate(study, found)

@@ -10,7 +10,7 @@ import pytest
 from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.screen import Score
-from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, finalists
+from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search, Term, finalists
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, extended, moved
 from caphy.refit.evidence import Evidence
@@ -98,3 +98,14 @@ def test_numbers_that_may_all_be_zero_name_nothing():
     unsure, sure = Coefficient(0.5, -0.1, 1.1, "Pa"), Coefficient(-0.5, -0.9, -0.1, "Pa")
     assert "different from zero" in unproven(0.2, None, {"a": unsure, "b": unsure})
     assert unproven(0.2, held_out(0.2, 0.01), {"a": unsure, "b": sure}) == ""
+
+
+def test_an_effect_that_is_fitted_on_is_named_once():
+    found = Search()
+    terms = [Term(Group(name, ()), SimpleNamespace(share=share), {}) for name, share in
+             (("gust", 0.1), ("pressure", 0.2), ("gust", 0.3))]  # fmt: skip
+    for term in terms:
+        found.accept(term)
+    assert found.terms == [terms[2], terms[1]]
+    found.accept(Term(Group("gust", (), own=True), SimpleNamespace(share=0.4), {}))
+    assert [term.group.label for term in found.terms] == ["gust", "pressure", "parameters of gust"]
