@@ -37,8 +37,6 @@ STRONGEST = 2.0
 """Largest gradient of the contact in gradients of all else: a pose in which much collides must not undo the others."""
 DEEP = 0.001
 """A vertex deeper than this on the wrong side of another garment counts as a collision [m]."""
-
-
 EVERY = 5
 """Every so many frames collisions are counted."""
 
