@@ -46,7 +46,7 @@ FAMILIES = {
 """The user's mesh and the truth's.
 
 Of 4.1 and 3.3 cm the user's T-shirt could not lie as the truth's sleeves do: a face in twenty was squeezed by a
-quarter, and the shirt slid over the body by 28 mm in eight frames; now it is 6 mm off."""
+quarter, and the shirt slid over the body: in a turn by 28 mm in eight frames; of these it is 6 mm off."""
 
 ACTIONS: dict[Part, tuple[str, ...]] = {
     "train": ("legs", "turning", "arms"),

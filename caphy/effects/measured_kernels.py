@@ -8,18 +8,13 @@ from __future__ import annotations
 
 from math import sqrt
 
-import numba
 import numpy as np
 
-from caphy.effects.kernels import weights
+from caphy.effects.kernels import _compiled, weights
 from caphy.effects.strain_measured import SMOOTHING
 from caphy.material.fabrics import LOADED_TWICE, STRETCH_SAMPLED
 
 _SMALL = 1e-6  # strain below which the mean weight's slopes are those of its series at zero
-
-_compiled = numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy", boundscheck=False
-)
 
 
 @_compiled
