@@ -19,6 +19,8 @@ NUISANCE = 3.0
 """That of the contact's numbers, in their sizes."""
 LIKELY = 1.0
 """Least share of the mean squared residual that counts as noise, where scans agree to the last."""
+COUPLED = 0.7
+"""Most of the coupling of both stretches, of what the membrane can bear, unless the start's table has more."""
 FASTEST = 2.5
 """A number grows or shrinks at most this many times in a round, for the response is not linear."""
 
@@ -64,7 +66,7 @@ def prior_precision(numbers: Coefficients, values: np.ndarray) -> np.ndarray:
         mine = np.flatnonzero(numbers.group == group)
         start = numbers.values[mine]
         grown = max(float(values[mine].sum() / start.sum()), 1e-3)
-        covariance = np.diag((PATTERN * grown * numbers.scale[mine]) ** 2) + LOOSE**2 * np.outer(start, start)
+        covariance = np.diag((PATTERN * grown * start) ** 2) + LOOSE**2 * np.outer(start, start)
         total[np.ix_(mine, mine)] = np.linalg.inv(covariance)
     return total
 
@@ -88,13 +90,29 @@ def solve(pooled: Pooled, numbers: Coefficients, values: np.ndarray) -> np.ndarr
         np.concatenate([(high - values) / size[:count], wide]),
     )
     found = lsq_linear(lower.T, np.linalg.solve(lower, right * size), limits, method="bvls")
-    return values + found.x[:count] * size[:count]
+    return stable(numbers, values + found.x[:count] * size[:count])
+
+
+def stable(numbers: Coefficients, values: np.ndarray) -> np.ndarray:
+    """Values (K,) with the stretching's coupling C_uuvv lowered where with it a strain in the plane would cost nothing.
+
+    A row whose C_uuvv exceeds the root of C_uuuu C_vvvv is no membrane: some stretch of it yields energy, and a worn
+    garment of it goes anywhere. Rows may come as near to that as the start's table does.
+    """
+    if "strain_measured" not in numbers.names:
+        return values
+    found, mine = values.copy(), numbers.group == numbers.names.index("strain_measured")
+    table, start = (table[mine].reshape(-1, 4) for table in (values, numbers.values))
+    most = np.maximum(COUPLED, start[:, 1] / np.sqrt(start[:, 0] * start[:, 2]))
+    table = table.copy()
+    table[:, 1] = np.minimum(table[:, 1], most * np.sqrt(table[:, 0] * table[:, 2]))
+    found[mine] = table.ravel()
+    return found
 
 
 def bounds(numbers: Coefficients, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest values (K,) of a round: the parameters' own bounds, and a factor of those it starts from."""
     own = np.array([(column.declared.lower, column.declared.upper) for column in numbers.columns])
-    mean = np.array([values[numbers.group == group].mean() for group in numbers.group])
-    low = np.maximum(values / FASTEST - 0.05 * mean, np.maximum(own[:, 0], 1e-3 * mean))
-    high = np.minimum(FASTEST * values + 0.05 * mean, own[:, 1])
+    low = np.maximum(values / FASTEST, own[:, 0])
+    high = np.minimum(FASTEST * values, own[:, 1])
     return np.minimum(low, values), np.maximum(high, values)

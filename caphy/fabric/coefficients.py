@@ -66,12 +66,6 @@ class Coefficients:
         """Of the groups: the effects'."""
         return tuple(dict.fromkeys(column.effect for column in self.columns))
 
-    @cached_property
-    def scale(self) -> np.ndarray:
-        """Typical size of each number at the start (K,): its own, or a fraction of its table's mean."""
-        mean = np.array([self.values[self.group == g].mean() for g in self.group])
-        return np.maximum(self.values, 0.3 * mean)
-
     def model(self, values: np.ndarray) -> Model:
         """The model with numbers (K,) in place of the start's."""
         model = self.start

@@ -31,6 +31,8 @@ STRONG: Stage = (0.02, 500.0)
 LET_GO: tuple[Stage, ...] = ((0.02, 100.0), (0.02, WEAK), (0.02, WEAK))
 RESTED = 5e-3
 """Force on the worst vertex [N] up to which cloth counts as at rest: a few vertices' weight."""
+AGAIN = 6
+"""How often the last of these is taken up again, with fresh contact planes, where cloth has not come to rest."""
 _SEEKING, _RESTING = 8, 25  # most Newton iterations of a stage
 
 
@@ -82,6 +84,10 @@ class Layer:
         drawn, report = x.numpy().copy(), Report(False, 0, np.inf, "not run")
         for stage in rest:
             x, report = self._pulled(worn, x, stage, self.newton)
+        for _ in range(AGAIN):
+            if report.residual <= RESTED:
+                break
+            x, report = self._pulled(worn, x, rest[-1], self.newton)
         hits = self._find(worn, x, rest[-1][0])
         self.potential.aim(hits, rest[-1][1])
         return Lying(x.numpy(), drawn, hits, report)
