@@ -94,7 +94,7 @@ def run(case: Case, options: Options) -> dict:
     key = (scene, seed, noise_mm, points, wrong, hidden.same_mesh)
     if key not in _BASES:
         scenes = [registered(Scene.of(measurement), world.model) for measurement in world.base]
-        _BASES[key] = from_base(Study(scenes), world.model, scenes[0].motion is not None)
+        _BASES[key] = from_base(Study(scenes), world.model)
     learned = time.process_time() - began
     began = time.process_time()
     diagnosis = diagnose(world.model, world.train, _BASES[key], world.held_out)

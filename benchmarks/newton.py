@@ -136,7 +136,7 @@ def run(case: str, films: Path) -> dict:
     scenes = [Scene.of(measurement) for measurement in measured(case, "base", films)]
     train, held_out = (measured(case, part, films) for part in ("train", "held_out"))
     began = time.process_time()
-    base = from_base(Study(scenes), MODEL, on_body=False)
+    base = from_base(Study(scenes), MODEL)
     told = figures(diagnose(MODEL, train, base, held_out))
     told["ranking"] = told["ranking"][:6]
     return {"case": case, "effects": CASES[case].effects, "cpu_seconds": time.process_time() - began, "diagnosis": told}

@@ -58,7 +58,7 @@ def main() -> None:
         ]
         study = Study([Scene.of(measurement) for measurement in measured])
         began = time.process_time()
-        found = screen(study, stage.model, stage.model, False)
+        found = screen(study, stage.model, stage.model)
         seconds = time.process_time() - began
         columns = sum(len(group.columns) for group in found.groups)
         print(

@@ -143,12 +143,13 @@ def _settled(worn: Worn, motion: BodyMotion, skin: np.ndarray, guess: np.ndarray
             torch.from_numpy(found.point), torch.from_numpy(found.normal), torch.zeros_like(anchor), anchor
         )
 
-    x, iterations = torch.from_numpy(guess), 0
-    for _ in range(STARTS):
-        x, report = drape(worn.fine, x, seen)
-        iterations += report.iterations
+    x, report = drape(worn.fine, torch.from_numpy(guess), seen)
+    iterations = report.iterations
+    for _ in range(STARTS - 1):
         if report.converged:
             break
+        x, report = drape(worn.fine, x, seen)
+        iterations += report.iterations
     return x.numpy(), {"converged": report.converged, "residual_N": report.residual, "iterations": iterations}
 
 

@@ -35,7 +35,10 @@ TRAINING = (
     Swing(100, (0.05, 0.01, 0.03), 18, (0.5, 1.6), ball=True),
     Swing(220, (0.02, 0.02, 0.04), 10, (0.5, 1.4), ball=True),
 )
-HELD_OUT = (Swing(310, (0.04, 0.03, 0.05), 14, (0.8, 1.8)),)
+HELD_OUT = (
+    Swing(310, (0.04, 0.03, 0.05), 14, (0.8, 1.8)),
+    Swing(160, (0.03, 0.02, 0.05), 12, (0.6, 1.6), ball=True),  # what acts in contact only is proven here
+)
 BASE = (Swing(60, (0.03, 0.015, 0.05), 10, (0.5, 1.6)), Swing(270, (0.03, 0.02, 0.04), 10, (0.5, 1.6), ball=True))
 
 WAVES = 4

@@ -103,13 +103,13 @@ def base_of(
     if not measurements:
         return None
     scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in measurements]
-    return from_base(Study(scenes, progress=progress, crew=crew), model, scenes[0].motion is not None)
+    return from_base(Study(scenes, progress=progress, crew=crew), model)
 
 
-def from_base(study: Study, model: Model, on_body: bool) -> Base:
+def from_base(study: Study, model: Model) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
     changed: dict[str, float] = {}
-    look = _looked(study, model, on_body)
+    look = _looked(study, model)
     off = _far_off(look, model)
     if off:
         every = look.columns
@@ -118,7 +118,7 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
         if fitted.change.any():  # roll-outs agreed
             changed = {column.name: float(by) for column, by in zip(off, fitted.change, strict=True)}
             model = fitted.model
-            look = _looked(study, model, on_body)
+            look = _looked(study, model)
     gain, probes = _gains_left(look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])
     correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
@@ -129,8 +129,8 @@ def from_base(study: Study, model: Model, on_body: bool) -> Base:
     return Base(*learned, changed, mistaken, gain, probes, median_mm)
 
 
-def _looked(study: Study, model: Model, on_body: bool) -> _Look:
-    groups = (*own_groups(model, model), *library(model, on_body))
+def _looked(study: Study, model: Model) -> _Look:
+    groups = (*own_groups(model, model), *library(model, study.on_body))
     columns, places = columns_of(groups)
     probed = study.respond(model, columns, "base measurements", Probes(model))
     responses = picked(probed, range(len(columns)))

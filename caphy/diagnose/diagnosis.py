@@ -139,10 +139,9 @@ def diagnose(
     every = (*measurements, *held_out)
     scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in every]
     study = Study(scenes[: len(measurements)], progress=progress, crew=crew)
-    on_body = scenes[0].motion is not None
     known = base if isinstance(base, Base) else base_of(model, base, garment, body, progress, crew)
     start = model if known is None else known.model
-    found = search(study, start, model, on_body, known)
+    found = search(study, start, model, known)
     errors = None
     if held_out and found.fit is not None:
         columns, _ = columns_of(found.screens[0].groups)

@@ -21,6 +21,9 @@ LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
 LEAST_GAIN_OVER_BASE = 0.01
 """The same where base measurements tell what is found when nothing is missing."""
+CHANCE = 0.95
+"""Of the best gains of the library where nothing is missing, what an effect must be above. Not higher: signs of the few
+windows in which a ball is touched are drawn alike once in 2^5 or 2^6 times, which gives what was seen itself."""
 LEAST_WALD = 20.0
 """Squared estimate over squared error."""
 LEAST_WALD_OVER_BASE = 16.0
@@ -85,11 +88,13 @@ class Screen:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Accepted in a round: the group, the fit with it, and the share of the misfit that each candidate took."""
+    """Accepted in a round: the group, the fit with it, the share of the misfit that each candidate took, and the labels
+    of those that came so near on roll-outs that nothing tells which it is."""
 
     group: Group
     fit: Fit
     tried: dict[str, float]
+    even: tuple[str, ...] = ()
 
 
 @dataclass(eq=False)
@@ -124,7 +129,6 @@ def search(
     study: Study,
     model: Model,
     original: Model,
-    on_body: bool,
     base: Base | None = None,
 ) -> Search:
     """Find what a model lacks in the windows of a study.
@@ -134,14 +138,14 @@ def search(
         base: what was learned from base measurements.
     """
     found = Search()
-    found.screens.append(screen(study, model, original, on_body, base))
+    found.screens.append(screen(study, model, original, base))
     for _ in range(MOST_TERMS):
         term = _next_term(study, found, base is not None)
         if term is None:
             break
         found.accept(term)
         found.fit = term.fit
-        found.screens.append(screen(study, term.fit.model, original, on_body, base, found.screens[0]))
+        found.screens.append(screen(study, term.fit.model, original, base, found.screens[0]))
     _eliminate(study, found)
     return found
 
@@ -150,7 +154,6 @@ def screen(
     study: Study,
     model: Model,
     original: Model,
-    on_body: bool,
     base: Base | None = None,
     first: Screen | None = None,
 ) -> Screen:
@@ -158,7 +161,7 @@ def screen(
 
     A later screen keeps the variance and the weights of the ``first``.
     """
-    groups = (*own_groups(model, original), *library(model, on_body))
+    groups = (*own_groups(model, original), *library(model, study.on_body))
     columns, places = columns_of(groups)
     probed = study.respond(model, columns, "screening", Probes(model))
     if first is None and base is not None:
@@ -169,7 +172,7 @@ def screen(
     weight = first.evidence.weight if first else robust_weights(known)
     known = replace(known, weight=weight)
     scores = screened(known, groups, places, model)
-    chance = float(np.quantile(null_gains(known, groups, places, model), 0.99))
+    chance = float(np.quantile(null_gains(known, groups, places, model), CHANCE))
     needed = max(LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain), chance)
     flexible = evidence(picked(probed, range(len(columns), probed[0].columns.shape[-1])), variance, weight)
     more = {group.label: _more_needed(group, base) for group in groups if base is not None}
@@ -217,7 +220,9 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
     more, _ = share_gone(_told(last, best.columns), best.evidence, since)
     if more < max(last.needed, _FURTHER if found.terms else 0.0):
         return None
-    return Term(chosen.group, best, shares)
+    far = fits[label].misfit + _ROLLED * last.misfit
+    even = tuple(other for other, each in fits.items() if other != label and each.misfit <= far)
+    return Term(chosen.group, best, shares, even)
 
 
 def _told_by_tangents(

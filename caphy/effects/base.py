@@ -158,6 +158,8 @@ class Effect:
         coefficients: the parameters that leave exactly nothing of the effect when all are zero, so that it can be
             tried as an addition to any model; unless said, those in which the energy is linear.
         internal: exerts no net force and no net torque.
+        abrupt: the first bit of its coefficient does what more of it would, as dry friction, which stops what would
+            slide: responses to it, where it is off, are told by a roll-out with the default instead of a tangent.
         needs_step: acts only in motion (inertia, damping, friction); skipped in statics.
         reads_step: acts in statics too, but reads the step where there is one (mass: inertia and weight).
         needs_body: reads :class:`BodyState`; skipped where there is no body.
@@ -172,6 +174,7 @@ class Effect:
     group: ClassVar[Group] = "other"
     coefficients: ClassVar[tuple[str, ...]] = ()
     internal: ClassVar[bool] = False
+    abrupt: ClassVar[bool] = False
     needs_step: ClassVar[bool] = False
     reads_step: ClassVar[bool] = False
     needs_body: ClassVar[bool] = False

@@ -27,6 +27,7 @@ class BodyFriction(Effect):
         "slip": Parameter(0.01, "m/s", 1e-5, 1.0, linear=False, doc="speed below which friction fades"),
     }
     reference = "Kane, Repetto, Ortiz, Marsden, Finite element analysis of nonsmooth contact, CMAME 180, 1999"
+    abrupt = True
     needs_step = True
     needs_body = True
     borrows = ("body_contact",)

@@ -25,6 +25,8 @@ FEWEST = 3
 """Scans that a fabric can be fitted to; intervals are of how much scans disagree."""
 ROUNDS, CORRECTIONS = 12, 2
 """Rounds at most, and how often the mesh's error is told."""
+BACK = 3
+"""How often a round goes half-way back to the one before where cloth rests in too few scans under what it found."""
 SETTLED = 0.01
 """Change of every table's stiffness in a round below which the rounds end."""
 SETTLING = 0.1
@@ -139,7 +141,13 @@ def fit_fabric(
     left = corrections if objective == "response" else 0
     settled, change = False, {}
     for number in range(rounds):
-        said = scans.look(values, number)
+        try:
+            values, said = scans.tried(values, history[-1].values if history else None, number)
+        except CaphyError:
+            if not history:
+                raise
+            values = history[-1].values  # and nothing has settled, so that the tables which still moved are not told
+            break
         energy = np.sum([one.energy for one in said], axis=0)
         median = float(np.median([one.median for one in said]))
         stiffness = ratios(numbers, energy, values, numbers.values)
@@ -188,6 +196,17 @@ class _Scans:
             reasons = "".join(f"\n  {name}: {why}" for name, why in {**self._restless, **self.left_out}.items())
             raise CaphyError(f"at least {FEWEST} scans are needed to fit a fabric, {len(said)} can be used{reasons}")
         return tuple(said)
+
+    def tried(self, values: np.ndarray, before: np.ndarray | None, number: int) -> tuple[np.ndarray, tuple[Said, ...]]:
+        """Values (K,) and what the scans say there, or where that fails half-way back to ``before``, and so on."""
+        left_out, lying = dict(self.left_out), dict(self._lying)
+        for _ in range(0 if before is None else BACK):
+            try:
+                return values, self.look(values, number)
+            except CaphyError:
+                self.left_out, self._lying = dict(left_out), dict(lying)
+                values = np.sqrt(values * before)
+        return values, self.look(values, number)
 
     def _told(self, layer: Layer, one: Worn, values: np.ndarray) -> list[Said]:
         """What a scan says; nothing where the cloth does not come to rest in it this time."""

@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from caphy.effects.model import Model
+from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, roll_out, window_starts
-from caphy.refit.columns import Column, extended
+from caphy.refit.columns import Column, extended, moved
 from caphy.refit.modes import Projection, laplacian_modes
 from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
 from caphy.solve.integrators import SDIRK2, State
@@ -103,6 +104,7 @@ class Watched:
         tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = Simulator(newton, self.scene.motion, pins=self.scene.pins)  # type: ignore[arg-type]
+        abrupt = self._abrupt(model, columns)
         for frame in starts:
             recorder.stages.clear()
             sharp = self._sharpened(states.state(frame), frame)
@@ -112,11 +114,26 @@ class Watched:
                 errors = self._start(BLURRED if sharp is None else self._blur)
             else:
                 errors = None
-            moved = tangents.along(recorder.stages, errors, self.length, SUBSTEPS, SDIRK2())
+            changes = tangents.along(recorder.stages, errors, self.length, SUBSTEPS, SDIRK2())
+            for place, (amount, other) in abrupt.items():
+                with_it = roll_out(self.scene, other, state, frame, length=self.length)
+                changes[:, place] = (with_it.positions - run.positions) / amount
             if frame not in self._steps:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
                 self._steps[frame] = (run.positions - rough.positions)[1:]
-            yield self._response(frame, run, moved[1:], 0 if errors is None else len(errors.x))
+            yield self._response(frame, run, changes[1:], 0 if errors is None else len(errors.x))
+
+    def _abrupt(self, model: Model, columns: Sequence[Column]) -> dict[int, tuple[float, Simulator]]:
+        """Where columns are whose first bit does all: the default of each, and a simulator of the model with it."""
+        found = {}
+        for place, column in enumerate(columns):
+            effect = find_effect(column.effect)
+            if effect.abrupt and column.value(model) == 0 and (self.scene.motion is not None or not effect.needs_body):
+                amount = float(column.declared.default)  # type: ignore[arg-type]
+                potential = self.scene.potential(moved(model, (column,), np.array([amount])))
+                newton = Newton(potential, self.scene.fixed, TOLERANCE)
+                found[place] = amount, Simulator(newton, self.scene.motion, SDIRK2(), self.scene.pins)  # type: ignore
+        return found
 
     @cached_property
     def _tracks(self) -> np.ndarray:

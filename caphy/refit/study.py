@@ -65,6 +65,11 @@ class Study:
         self._known_as = None if crew is None else crew.learn(self.scenes, length)
 
     @property
+    def on_body(self) -> bool:
+        """Whether cloth meets a body in any of the scenes."""
+        return any(each.scene.motion is not None for each in self.watched)
+
+    @property
     def noise(self) -> float:
         """Standard deviation of a mode's coefficient by the noise of the measurements [m], the largest of them."""
         found = []

@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from explicit_cloth import measured, simulate
 
 from caphy.cli import main
 from caphy.diagnose.base import from_base
 from caphy.diagnose.diagnosis import diagnose
 from caphy.diagnose.figures import figures, sentences
+from caphy.diagnose.search import screen
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement, write_measurement
@@ -101,7 +103,7 @@ def test_parameters_that_are_off_are_called_that(plain):
 def test_what_base_measurements_show_is_not_named(plain, dragged):
     """A model that is off in the base measurements as well: only what came after is missing."""
     stiff = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * 1.2, lame_mu=11.1 * 1.2)
-    known = from_base(Study([Scene.of(plain)]), stiff, False)
+    known = from_base(Study([Scene.of(plain)]), stiff)
     found = diagnose(stiff, dragged[:1], known, dragged[1:])
     assert found.found == ("mass_damping",)
     assert abs(found.coefficients["mass_damping.rate"].value - 3.0) < 0.3
@@ -114,11 +116,23 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     assert abs(value - 3.0) < abs(blind - 3.0)
 
 
+def test_what_acts_in_contact_is_weighed_where_any_measurement_has_a_body(plain):
+    """... though the first has none; there such an effect does nothing."""
+    ball = trimesh.creation.icosphere(1, radius=0.1)
+    still = np.broadcast_to(ball.vertices + np.array([0, -2, 0]), (len(plain), *ball.vertices.shape))
+    near = replace(plain, body_vertices=still, body_faces=np.asarray(ball.faces, np.int32))
+    study = Study([Scene.of(plain), Scene.of(near)])
+    assert study.on_body and not Study([Scene.of(plain)]).on_body
+    found = screen(study, MODEL.with_effect("body_contact"), MODEL)
+    place = found.places["contact_thickness"] + found.places["body_friction"]
+    assert not found.evidence.b[:, place].any()  # the ball is far away
+
+
 @pytest.mark.parametrize("factor", [2.5, 0.4])
 def test_base_measurements_put_parameters_right_that_are_far_off(plain, dragged, factor):
     """... and nothing else: what is in the model cannot be found to be missing."""
     wrong = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * factor, lame_mu=11.1 * factor)
-    known = from_base(Study([Scene.of(plain)]), wrong, False)
+    known = from_base(Study([Scene.of(plain)]), wrong)
     assert list(known.model.effects) == list(wrong.effects)
     assert abs(known.model.effects["strain_stvk"]["lame_mu"] / 11.1 - 1) < 0.1
     found = diagnose(wrong, dragged[:1], known, dragged[1:])

@@ -197,6 +197,28 @@ def test_a_round_keeps_within_bounds():
     numbers.model(found)  # a valid model: the parameters' own bounds hold
 
 
+@pytest.mark.parametrize("bearable", [0.4, 0.0])
+def test_a_round_that_loses_the_cloth_is_taken_back(scans, monkeypatch, bearable):
+    """Half-way back where cloth rests again, or to the round before, and then nothing is said to be determined."""
+    numbers, looked, look = Coefficients.of(PLANTED), [], _Scans.look
+    start = 0.5 * numbers.values
+
+    def fragile(self, values, number):
+        looked.append(abs(np.log(values[numbers.group == 0].sum() / start[numbers.group == 0].sum())))
+        if number > 0 and looked[-1] > bearable:
+            raise CaphyError("the cloth did not come to rest")
+        return look(self, values, number)
+
+    monkeypatch.setattr(_Scans, "look", fragile)
+    fitted = fit_fabric(scans, numbers.model(start), rounds=2, corrections=0)
+    assert looked[1] > 0.4 and looked[2] == pytest.approx(looked[1] / 2, rel=0.3)
+    if bearable:
+        assert len(fitted.rounds) == 2 and not fitted.left_out
+    else:
+        assert len(fitted.rounds) == 1 and np.array_equal(fitted.values, fitted.rounds[0].values)
+        assert not any(Certainty.of(fitted).determined.values())
+
+
 def test_no_stretch_of_the_fabric_found_yields_energy():
     """Scans that ask for a soft sheet with an unchanged coupling: each row's matrix stays positive definite."""
     numbers = Coefficients.of(fabric_model("gray-interlock"))
