@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from explicit_cloth import measured, simulate
 
 from caphy.effects.model import Model
@@ -57,6 +58,23 @@ def test_responses_are_derivatives_of_the_roll_out(watched, column, step, most):
     difference = -(there.residual - here.residual) / step
     tangent = here.columns[..., 0]
     assert np.linalg.norm(difference - tangent) < most * np.linalg.norm(tangent)
+
+
+def test_the_response_to_dry_friction_is_that_of_a_roll_out_with_it():
+    """Friction stops what slides with its first bit: the derivative at zero says nothing of what more of it does."""
+    positions, keys = simulate(seconds=1.0, settle=1.5)
+    ball = trimesh.creation.icosphere(2, radius=0.1)
+    centre = positions[START].mean(0) + np.array([0, 0, 0.1])
+    body = np.broadcast_to(ball.vertices + centre, (len(positions), *ball.vertices.shape))
+    scene = Scene.of(
+        replace(measured(positions, keys), body_vertices=body, body_faces=np.asarray(ball.faces, np.int32))
+    )
+    watched, model = Watched(scene, length=5), DAMPED.with_effect("body_contact")
+    column = Column("body_friction", "coefficient")
+    here, there = responded(watched, model, (column,)), responded(watched, moved(model, (column,), np.array([0.3])))
+    told = here.columns[..., 0]
+    assert np.abs(told).max() > 1e-4
+    np.testing.assert_allclose(-(there.residual - here.residual) / 0.3, told, atol=1e-9)
 
 
 @pytest.mark.parametrize("number", [1, 5, 30, 61, 62, 100])
