@@ -18,9 +18,7 @@ SEPARATES = {
     frozenset(("wind", "drag")): "measure the cloth hanging still: only wind pushes it then",
     frozenset(("wind", "other")): "measure two opposite facings: pressure turns with the cloth, wind does not",
     frozenset(("drag",)): "measure the same motion at half and at double speed: linear and quadratic laws part",
-    frozenset(
-        ("damping",)
-    ): "measure the same motion at half and at double speed: viscosity grows with speed, friction does not",
+    frozenset(("damping",)): "measure the same motion at half and double speed: viscosity grows, friction does not",
     frozenset(("drag", "damping")): "swing the cloth flat through the air, without folding it: only drag acts then",
     frozenset(("mass", "stiffness")): "weigh the cloth: density and stiffness cannot be told apart by motion alone",
     frozenset(("mass",)): "weigh the cloth, and its hem",

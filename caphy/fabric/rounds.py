@@ -199,14 +199,18 @@ class _Scans:
 
     def tried(self, values: np.ndarray, before: np.ndarray | None, number: int) -> tuple[np.ndarray, tuple[Said, ...]]:
         """Values (K,) and what the scans say there, or where that fails half-way back to ``before``, and so on."""
+        if before is None:
+            return values, self.look(values, number)
         left_out, lying = dict(self.left_out), dict(self._lying)
-        for _ in range(0 if before is None else BACK):
+        for left in reversed(range(1 + BACK)):
             try:
                 return values, self.look(values, number)
             except CaphyError:
                 self.left_out, self._lying = dict(left_out), dict(lying)
+                if not left:
+                    raise
                 values = np.sqrt(values * before)
-        return values, self.look(values, number)
+        raise AssertionError("the last time returns or raises")
 
     def _told(self, layer: Layer, one: Worn, values: np.ndarray) -> list[Said]:
         """What a scan says; nothing where the cloth does not come to rest in it this time."""
