@@ -30,12 +30,13 @@ from caphy.refit.crew import Crew
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response
-from caphy.refit.study import Progress, Study, fit, picked
+from caphy.refit.study import FURTHEST, Fit, Progress, Study, fit, picked
 
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """How much corrections may be shrunk, in units of what the data say of each alone; windows left out choose."""
 
 _OFF = 0.05  # of the misfit: what parameters must explain by themselves, in windows left out, to be moved for good
+_MUCH = 0.3  # of the misfit: where even numbers that go as far as any may are told
 _SURE = 20.0  # squared estimate over squared error of these
 
 
@@ -110,15 +111,11 @@ def from_base(study: Study, model: Model) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
     changed: dict[str, float] = {}
     look = _looked(study, model)
-    off = _far_off(look, model)
-    if off:
-        every = look.columns
-        responses = picked(look.probed, [every.index(column) for column in off])
-        fitted = fit(study, model, off, responses, look.variance, look.known.weight, "parameters of the base")
-        if fitted.change.any():  # roll-outs agreed
-            changed = {column.name: float(by) for column, by in zip(off, fitted.change, strict=True)}
-            model = fitted.model
-            look = _looked(study, model)
+    fitted = _fitted(study, look, model)
+    if fitted is not None:
+        changed = {column.name: float(by) for column, by in zip(fitted.columns, fitted.change, strict=True)}
+        model = fitted.model
+        look = _looked(study, model)
     gain, probes = _gains_left(look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])
     correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
@@ -162,6 +159,26 @@ def _far_off(look: _Look, model: Model) -> list[Column]:
     scores = screened(look.known, look.groups, look.places, model)
     off = [s for s in scores if s.group.own and s.gain >= _OFF and s.wald >= _SURE]
     return [column for score in off for column in score.group.columns if column.entry is None]
+
+
+def _fitted(study: Study, look: _Look, model: Model) -> Fit | None:
+    """Parameters that are far off, put right by roll-outs.
+
+    One that goes as far as any may, for little of the misfit, is not told by the data. Lame's lambda at ten times its
+    value beside a softer mu makes cloth as stiff along a thread and softer in shear, as a mesh that locks would ask for
+    where nothing is wrong. It is left where it was, and the others must do without it.
+    """
+    off = _far_off(look, model)
+    while off:
+        responses = picked(look.probed, [look.columns.index(column) for column in off])
+        fitted = fit(study, model, off, responses, look.variance, look.known.weight, "parameters of the base")
+        if not fitted.change.any():  # roll-outs did not agree
+            return None
+        told = [c for c, by in zip(off, fitted.change, strict=True) if abs(np.log1p(by)) < np.log(0.95 * FURTHEST)]
+        if len(told) == len(off) or fitted.share >= _MUCH:
+            return fitted if fitted.share >= _OFF else None
+        off = told
+    return None
 
 
 def _left_out(known: Evidence, ridge: float) -> list[np.ndarray]:

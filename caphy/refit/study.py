@@ -28,6 +28,9 @@ ROUNDS = 7
 _SETTLED = 4e-3  # of what the whole change takes away: what a further step must promise; 6 % of the numbers
 _NOTHING = 1e-5  # of the misfit: a promise that is none
 
+FURTHEST = 10.0
+"""Factor by which proportional numbers may grow or shrink in all."""
+
 SNAPPED = 2.0
 """Times its first misfit: what a window may count at most."""
 _LARGE = 0.3  # share of the misfit beyond which roll-outs tell it better than tangents
@@ -172,9 +175,9 @@ class Fit:
     @property
     def step(self) -> np.ndarray:
         """The change (K,) that the windows still ask for; proportional ones of at most a factor of three at a time, and
-        of ten in all."""
+        of :data:`FURTHEST` in all."""
         limits = [
-            (max(-0.6, 0.1 / (1 + so_far) - 1), min(2.0, 10 / (1 + so_far) - 1))
+            (max(-0.6, 1 / FURTHEST / (1 + so_far) - 1), min(2.0, FURTHEST / (1 + so_far) - 1))
             if c.entry is None
             else c.bounds(self.model)
             for c, so_far in zip(self.columns, self.change, strict=True)
