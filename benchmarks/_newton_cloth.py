@@ -1,5 +1,6 @@
-"""Cloth on pins moved by NVIDIA Newton's VBD solver, which shares nothing with ours: another elastic law (stable
-neo-Hookean), another integrator, single precision, and forces of air written here once more."""
+"""Cloth on pins or on a body moved by NVIDIA Newton's VBD solver, which shares nothing with ours: another elastic law
+(stable neo-Hookean), another integrator, another contact and friction, single precision, and forces of air written here
+once more."""
 
 from __future__ import annotations
 
@@ -15,6 +16,8 @@ Force = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
 FPS = 30
 SUBSTEPS = 12
+CONTACT = 300.0
+"""Stiffness of contact with a body [N/m] of each vertex."""
 ITERATIONS = 50
 """Of VBD in each substep; fewer make the cloth softer: with 10, cloth of 625 vertices hangs as if its stiffness were a
 third."""
@@ -30,11 +33,23 @@ class Fabric:
     density: float = 0.2
 
 
-class NewtonCloth:
-    """A cloth whose pins follow a path."""
+@dataclass(frozen=True)
+class Skin:
+    """A body that moves: faces (G, 3), vertices (B, 3) [m] at a time [s], how far from it cloth stays [m], friction."""
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, pins: np.ndarray, fabric: Fabric):
-        """``vertices`` (V, 3) [m] are flat and at rest."""
+    faces: np.ndarray
+    at: Callable[[float], np.ndarray]
+    distance: float = 0.004
+    friction: float = 0.0
+
+
+class NewtonCloth:
+    """A cloth whose pins follow a path, or that is worn on a body."""
+
+    def __init__(
+        self, vertices: np.ndarray, faces: np.ndarray, pins: np.ndarray, fabric: Fabric, skin: Skin | None = None
+    ) -> None:
+        """``vertices`` (V, 3) [m] are at rest."""
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, -9.81, 0.0))
         builder.add_cloth_mesh(
             pos=wp.vec3(0.0),
@@ -49,8 +64,12 @@ class NewtonCloth:
             tri_kd=0.0,
             edge_ke=1.0,
             edge_kd=0.0,
-            particle_radius=1e-3,
+            particle_radius=1e-3 if skin is None else skin.distance,
         )
+        if skin is not None:
+            mesh = newton.Mesh(skin.at(0.0).astype(np.float32), skin.faces.ravel(), compute_inertia=False)
+            shape = newton.ModelBuilder.ShapeConfig(ke=CONTACT, kd=0.0, mu=skin.friction, margin=0.0, gap=0.02)
+            builder.add_shape_mesh(-1, mesh=mesh, cfg=shape)
         for pin in pins:
             builder.particle_mass[pin] = 0.0
             builder.particle_flags[pin] &= ~int(newton.ParticleFlags.ACTIVE)
@@ -60,6 +79,15 @@ class NewtonCloth:
         self.solver = newton.solvers.SolverVBD(self.model, iterations=ITERATIONS, particle_enable_self_contact=False)
         self.states = self.model.state(), self.model.state()
         self.control = self.model.control()
+        self.skin, self.contacts = skin, None
+        if skin is not None:
+            self._surface = mesh.mesh
+            self.model.shape_collision_aabb_lower.fill_(-10.0)  # it moves: Newton would look where it was
+            self.model.shape_collision_aabb_upper.fill_(10.0)
+            self.model.soft_contact_ke, self.model.soft_contact_kd = CONTACT, 0.0
+            self.model.soft_contact_mu = skin.friction
+            self.collisions = newton.CollisionPipeline(self.model, soft_contact_gap=0.02)
+            self.contacts = self.collisions.contacts()
 
     def _set_bending(self, vertices: np.ndarray, k: float) -> None:
         """Newton bends with 1/2 ke l d(angle)^2 per edge: ke = k l / (4 A), A the area of the edge's two faces."""
@@ -74,9 +102,12 @@ class NewtonCloth:
         self.model.edge_bending_properties.assign(properties)
 
     def run(
-        self, start: np.ndarray, path: Callable[[float], np.ndarray], since: float, until: float, force: Force
+        self, start: np.ndarray, path: Callable[[float], np.ndarray] | None, since: float, until: float, force: Force
     ) -> np.ndarray:
-        """Positions (T, V, 3) [m] in each frame from ``since`` to ``until`` [s], from rest at ``start`` (V, 3)."""
+        """Positions (T, V, 3) [m] in each frame from ``since`` to ``until`` [s], from rest at ``start`` (V, 3).
+
+        ``path`` has the pins' positions (P, 3) [m] at a time.
+        """
         now, after = self.states
         now.particle_q.assign(start.astype(np.float32))
         now.particle_qd.zero_()
@@ -84,15 +115,28 @@ class NewtonCloth:
         for step in range(round((until - since) * FPS) * SUBSTEPS):
             time = since + (step + 1) * dt
             x, v = now.particle_q.numpy(), now.particle_qd.numpy()
-            x[self.pins] = path(time)
-            v[self.pins] = (path(time) - path(time - dt)) / dt
+            if path is not None:
+                x[self.pins] = path(time)
+                v[self.pins] = (path(time) - path(time - dt)) / dt
+            self._meet(now, time, dt)
             now.particle_q.assign(x)
             now.particle_f.assign(force(x.astype(float), v.astype(float), time).astype(np.float32))
-            self.solver.step(now, after, self.control, None, dt)
+            self.solver.step(now, after, self.control, self.contacts, dt)
             now, after = after, now
             if (step + 1) % SUBSTEPS == 0:
                 film.append(now.particle_q.numpy().astype(float))
         return np.stack(film)
+
+    def _meet(self, state: newton.State, time: float, dt: float) -> None:
+        """Move the body, which Newton knows as a shape that changes under its feet, and find what is near it."""
+        if self.skin is None:
+            return
+        there = self.skin.at(time)
+        surface = self._surface
+        surface.velocities.assign(((there - self.skin.at(time - dt)) / dt).astype(np.float32))
+        surface.points.assign(there.astype(np.float32))
+        surface.refit()
+        self.collisions.collide(state, self.contacts)
 
 
 class Surface:
