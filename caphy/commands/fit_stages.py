@@ -77,7 +77,7 @@ def stages(plan: Plan, count: int) -> list[Stage]:
         Stage(
             "garments", "choosing the garments' templates", lambda: _garments(plan),
             inputs=(*labelled, run / "body.npz"), outputs=(run / "garments.json",),
-            options={"body": plan.body}, seconds=80,
+            options={"body": plan.body, "fabric": plan.fabric}, seconds=180,
         ),
         Stage(
             "points", "splitting the scans", lambda: _points(plan),
@@ -163,7 +163,7 @@ def _garments(plan: Plan) -> None:
     worn = read(plan.run, LABELLED)["kinds"]
     for kind in {"upper", "lower"} - set(worn):
         (plan.run / f"{kind}.npz").unlink(missing_ok=True)
-    _command("register", "garments", *_labelled(plan), "--body", plan.body, "--kinds", *worn)
+    _command("register", "garments", *_labelled(plan), "--body", plan.body, "--fabric", plan.fabric, "--kinds", *worn)
 
 
 def _points(plan: Plan) -> None:

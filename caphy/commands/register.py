@@ -15,8 +15,10 @@ from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
-    from caphy.register.articulation import Placement
+    from caphy.register.articulation import Figure, Placement
+    from caphy.register.cloud import Cloud
     from caphy.register.fit import BodyFit, Taken
+    from caphy.register.template import Choice
     from caphy.scan.scan import Scan
     from caphy.scan.scan_set import ScanSet
 
@@ -59,6 +61,8 @@ class Garments:
     """A linear style basis (npz) to choose the upper garment from instead of the parametric ones."""
     lower_basis: Path | None = None
     """A linear style basis (npz) to choose the lower garment from."""
+    fabric: str = "gray-interlock"
+    """The measured fabric that garments are hung in to tell their eases."""
 
 
 @dataclass(frozen=True)
@@ -214,15 +218,41 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
         garment, told = linear_garment(style, linear, fit.figure, kind), {"coefficients": linear.coefficients.tolist()}
         distance, looked_at = linear.distance, linear.looked_at
     else:
+        placements = [fit.placements[i] for i in chosen]
         with Progress() as progress:
             choice = choose(fit.figure, targets, kind, progress)
-        garment, told = made(choice, fit.figure), asdict(choice.style) | {"families": dict(choice.runners_up)}
+            worn = _hung(choice, fit.figure, placements, clouds, kind, command.fabric, progress)
+        garment, told = made(worn, fit.figure), asdict(worn.style) | {"families": dict(choice.runners_up)}
         distance, looked_at = choice.distance, choice.looked_at
     path = command.output / f"{kind}.npz"
     garment.save(path)
     near = ", ".join(names[:COMPARED])
     print(f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {near}; best of {looked_at} styles, refined")
     return {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
+
+
+def _hung(
+    choice: Choice,
+    figure: Figure,
+    placements: list[Placement],
+    clouds: list[Cloud],
+    kind: str,
+    fabric: str,
+    progress: Progress,
+) -> Choice:
+    """The choice with eases that hang as the plainest scans show; as it was where that cannot be told."""
+    from dataclasses import replace
+
+    from caphy.effects.presets import fabric_model
+    from caphy.register.eases import SCANS, hung_eases
+
+    model = fabric_model(fabric)
+    try:
+        style = hung_eases(choice.style, figure, placements[:SCANS], clouds[:SCANS], kind, model, progress)
+    except CaphyError as error:
+        print(f"the {kind} garment's eases are told by distances alone: {error}")
+        return choice
+    return replace(choice, style=style)
 
 
 def _points(command: Points) -> None:

@@ -70,7 +70,7 @@ def _shape_round(
     matrix, right = np.eye(len(figure.betas)), -figure.betas
     steps: list[tuple[Equations, np.ndarray]] = []
     for wearer, placement in zip(wearers, state.placements, strict=True):
-        placed, matches = _matched(figure, placement, surface, wearer.pose_cloud, reach)
+        placed, matches = _matched(figure, placement, surface, wearer.pose_cloud, reach, len(wearers))
         found = equations(placed, matches, *wearer.prior.residuals(placement, placed.world), True)
         part, value = found.without_pose()
         matrix, right = matrix + counted * part, right + counted * value
@@ -92,7 +92,7 @@ def _skin_round(state: State, wearers: Sequence[Wearer], surface: Surface, tick:
 
     def found() -> Iterator[tuple[PlacedFigure, Matches]]:
         for wearer, placement in zip(wearers, state.placements, strict=True):
-            yield _matched(figure, placement, surface, wearer.skin_cloud, reach)
+            yield _matched(figure, placement, surface, wearer.skin_cloud, reach, len(wearers))
 
     displacement = displacement_step(figure.body, figure.displacement, found())
     moved = Figure(figure.body, figure.betas, displacement)
@@ -100,21 +100,23 @@ def _skin_round(state: State, wearers: Sequence[Wearer], surface: Surface, tick:
     for wearer, before in zip(wearers, state.placements, strict=True):
         placement = before
         for _ in range(POSE_STEPS):
-            placement = pose_step(moved, placement, wearer, surface, reach)
+            placement = pose_step(moved, placement, wearer, surface, reach, len(wearers))
         placements.append(placement)
         tick()
     return replace(state, figure=moved, placements=tuple(placements))
 
 
-def pose_step(figure: Figure, placement: Placement, wearer: Wearer, surface: Surface, reach: float) -> Placement:
-    """One Gauss-Newton step of a single scan's pose."""
-    placed, matches = _matched(figure, placement, surface, wearer.pose_cloud, reach)
+def pose_step(
+    figure: Figure, placement: Placement, wearer: Wearer, surface: Surface, reach: float, scans: int
+) -> Placement:
+    """One Gauss-Newton step of a single scan's pose, one of ``scans``."""
+    placed, matches = _matched(figure, placement, surface, wearer.pose_cloud, reach, scans)
     known = wearer.prior.residuals(placement, placed.world)
     return placement.moved(equations(placed, matches, *known, False).pose_step(), placed.world)
 
 
 def _matched(
-    figure: Figure, placement: Placement, surface: Surface, cloud: Cloud, reach: float
+    figure: Figure, placement: Placement, surface: Surface, cloud: Cloud, reach: float, scans: int
 ) -> tuple[PlacedFigure, Matches]:
     placed = figure.placed(placement)
-    return placed, match(placed, surface, cloud, reach)
+    return placed, match(placed, surface, cloud, reach, scans)

@@ -17,8 +17,10 @@ from caphy.register.cloud import Cloud
 
 MARGIN = 0.004
 """How far cloth that touches lies above the skin [m]: its contact distance and half its thickness."""
-DRAW = 0.001
-"""Weight of a cloth point that hangs free, against one of a skin point."""
+DRAW, MOST_DRAWN = 0.00075, 0.03
+"""Weight of a cloth point that hangs free, against one of a skin point: for each scan, and at most.
+
+Cloth touches everywhere in some pose, and the body is just below it there. With few scans it may hang free in all."""
 HANG = 0.008
 """Gap beyond the margin at which the draw of free cloth has fallen to a quarter [m]."""
 FACING = 0.3
@@ -51,8 +53,13 @@ class Matches:
         return self.height - self.wanted
 
 
-def match(placed: PlacedFigure, surface: Surface, cloud: Cloud, reach: float) -> Matches:
-    """Hold a cloud against a placed body; ``reach`` [m] is the residual at which a point counts a quarter."""
+def match(placed: PlacedFigure, surface: Surface, cloud: Cloud, reach: float, scans: int = 1) -> Matches:
+    """Hold a cloud against a placed body.
+
+    Args:
+        reach: residual [m] at which a point counts a quarter.
+        scans: how many share the body.
+    """
     near = surface.nearest(cloud.points, placed.vertices)
     faces = placed.figure.body.faces
     a, b, c = (placed.vertices[faces[near.face, k]] for k in range(3))
@@ -63,7 +70,7 @@ def match(placed: PlacedFigure, surface: Surface, cloud: Cloud, reach: float) ->
     residual = near.distance - wanted
     free = ~cloud.skin & (residual > 0)
     scale = np.where(free, min(HANG, reach), reach)
-    weight = belongs * np.where(free, DRAW, 1.0) / (1 + (residual / scale) ** 2) ** 2
+    weight = belongs * np.where(free, min(DRAW * scans, MOST_DRAWN), 1.0) / (1 + (residual / scale) ** 2) ** 2
     return Matches(near.face, near.barycentric, near.normal, near.distance, wanted, weight)
 
 

@@ -1,0 +1,183 @@
+"""How loose a garment is, told by hanging it: only cloth under its own weight has the folds that take up its girth.
+
+A loose shirt lies on the back and the shoulders and stands off elsewhere; a style that follows the skeleton stands off
+all round by the same. Held against each other by nearest points, the style that fits best is too tight. So the style is
+put on the body, worn into the pose and brought to rest by the reference solver; where the scan then lies farther out
+than the cloth, the garment is too small, and its eases grow by what makes up for that in the mean. Some of what they
+grow by goes into folds, so that this is done again and again; few times, for the less is left the less the scan's own
+folds tell of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from caphy.body.model import BodyModel
+from caphy.body.surface import nearest_on_surface
+from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.errors import CaphyError
+from caphy.garment.families import Family, make
+from caphy.garment.landmarks import Landmarks
+from caphy.garment.meshing import contour
+from caphy.garment.template import Garment
+from caphy.io.poses import PoseSequence
+from caphy.register.articulation import Figure, Placement
+from caphy.register.chamfer import LABELS
+from caphy.register.cloud import Cloud
+from caphy.register.styles import GRID
+from caphy.register.template import dressed_body
+from caphy.report.render import vertex_normals
+from caphy.solve.body_motion import BodyMotion
+from caphy.solve.newton import Newton
+from caphy.solve.preroll import start_state
+from caphy.solve.statics import drape
+
+SCANS, ROUNDS = 3, 3
+"""Scans in which a style is hung, the plainest, and how often."""
+ON_THE_WAY = 0.5
+"""Time from the T-pose into a scan's pose [s]."""
+EDGE_LENGTHS = (0.036, 0.033, 0.030)
+"""Of the mesh that is hung [m]: eases are no matter of small folds. The first that leaves no face without area."""
+SPREAD = {"ease": 0.02, "sleeve_ease": 0.02, "leg_ease": 0.02, "flare": 0.1, "taper": 0.06}
+"""How far eases may be off [m, or metres per metre]: standard deviation of what is known of each before."""
+MOST = {"ease": 0.1, "sleeve_ease": 0.06, "leg_ease": 0.1, "flare": 0.5, "taper": 0.3}
+"""Greatest value of each."""
+POINTS = 2000
+"""Points of each scan's cloth that are held against it."""
+REACH, FACING = 0.06, 0.3
+"""How far from the cloth points may lie [m], and how much they must face as it does (cosine)."""
+ENOUGH = 0.3
+"""Share of a scan's points that must do so for the scan to count."""
+FOLDS, WAVES = 0.01, 50
+"""How far folds put a point off [m], and how many of a scan's points are put off independently."""
+ROBUST = 0.03
+"""Height at which a point counts a quarter [m]."""
+NUDGE = 0.01
+"""By which an ease is changed to see what it does [m, or metres per metre]."""
+REST = 1e-4
+"""Force on the worst vertex [N] with which cloth counts as at rest: it lies where it will within a millimetre."""
+STARTS, ITERATIONS = 4, 50
+"""How often a minimisation is begun, with fresh contact planes, and its most iterations. Shirts that slide do not come
+to rest in so many; that matters less than in which fold they fell."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points of a scan over hung cloth: the face each is nearest to (N,), where on it (N, 3), and height (N,) [m]."""
+
+    face: np.ndarray
+    share: np.ndarray
+    height: np.ndarray
+
+
+def hung_eases(
+    style: Family,
+    figure: Figure,
+    placements: Sequence[Placement],
+    clouds: Sequence[Cloud],
+    kind: str,
+    model: Model,
+    progress: Progress,
+) -> Family:
+    """The style with the eases with which it hangs as the scans show.
+
+    Args:
+        placements: where the body stands in each of some scans.
+        clouds: those scans.
+        kind: "upper" or "lower".
+        model: the physics of the cloth. The stiffer it is, the farther it stands off, and the less ease it needs.
+
+    Raises:
+        CaphyError: the garment cannot be meshed, or does not hang where the scans show one.
+    """
+    body, names = dressed_body(figure), [name for name in SPREAD if hasattr(style, name)]
+    for number in range(ROUNDS):
+        (garment, cloth), seen = _coarse(style, body, model), []
+        for place, (placement, cloud) in enumerate(zip(placements, clouds, strict=True)):
+            progress(f"{kind}: hung in scans", number * len(clouds) + place, ROUNDS * len(clouds))
+            x = hung(garment, cloth, body, placement, model)
+            mine = cloud.labels == LABELS[kind]
+            whole = Cloud(cloud.name, cloud.points[mine], cloud.normals[mine], cloud.labels[mine])
+            seen += _over(x, garment, whole.thinned(POINTS))
+        if not seen:
+            raise CaphyError(
+                f"the {kind} garment does not hang where the scans show one (fewer than {100 * ENOUGH:.0f} % of its "
+                f"points lie within {100 * REACH:g} cm); are the labels and the poses right?"
+            )
+        slopes = widening(style, names, body, garment.vertices)
+        step = eases_step(seen, slopes[garment.faces], np.array([SPREAD[name] for name in names]))
+        changed = {
+            name: float(np.clip(getattr(style, name) + by, 0.0, MOST[name]))
+            for name, by in zip(names, step, strict=True)
+        }
+        style = replace(style, **changed)
+    return style
+
+
+def _coarse(style: Family, body: BodyModel, model: Model) -> tuple[Garment, Cloth]:
+    """A style in a coarse mesh that can be simulated."""
+    failed: CaphyError | None = None
+    for edge_length in EDGE_LENGTHS:
+        try:
+            garment = make(replace(style, edge_length=edge_length), body)
+            return garment, Cloth.of(garment, model.density)
+        except CaphyError as error:
+            failed = error
+    assert failed is not None
+    raise failed
+
+
+def hung(garment: Garment, cloth: Cloth, body: BodyModel, placement: Placement, model: Model) -> np.ndarray:
+    """Where a garment comes to rest (V, 3) [m] on a body that stands still, worn into its pose from the T-pose."""
+    still = PoseSequence(placement.pose[None], placement.transl[None], fps=30.0, pelvis=body.joints[0])
+    motion = BodyMotion(body, still, garment)
+    newton = Newton(Potential(model, cloth), tolerance=REST, max_iterations=ITERATIONS)
+    x = start_state(newton, motion, ON_THE_WAY).x
+    for _ in range(STARTS):
+        x, report = drape(newton, x, lambda x: motion.state(0.0, x.numpy(), 1.0))
+        if report.converged:
+            break
+    return x.numpy()
+
+
+def widening(style: Family, names: Sequence[str], body: BodyModel, vertices: np.ndarray) -> np.ndarray:
+    """How far the surface of a style moves outwards at its vertices (V, 3) [m], per unit of each ease (V, K)."""
+    marks, found = Landmarks.of(body), []
+    for changed in (style, *(replace(style, **{name: getattr(style, name) + NUDGE}) for name in names)):
+        cut = changed.cut(marks)
+        found.append(nearest_on_surface(vertices, *contour(cut.surface, cut.low, cut.high, GRID)).distance)
+    return np.stack([(found[0] - wider) / NUDGE for wider in found[1:]], axis=1)
+
+
+def eases_step(seen: Sequence[Seen], slopes: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """By how much eases (K,) must grow for the cloth to lie among the points.
+
+    Args:
+        slopes: per unit of each ease, outward movement of each face's corners (F, 3, K).
+        spread: standard deviation of each ease (K,).
+    """
+    matrix, right = np.diag(1 / spread**2), np.zeros(len(spread))
+    for each in seen:
+        rows = np.einsum("nj,njk->nk", each.share, slopes[each.face])
+        weight = WAVES / (len(each.height) * FOLDS**2) / (1 + (each.height / ROBUST) ** 2) ** 2
+        matrix += rows.T @ (weight[:, None] * rows)
+        right += rows.T @ (weight * each.height)
+    return np.linalg.solve(matrix, right)
+
+
+def _over(x: np.ndarray, garment: Garment, cloud: Cloud) -> list[Seen]:
+    """The points of a cloud that belong to cloth at positions x (V, 3); none where they are too few."""
+    found = nearest_on_surface(cloud.points, x, garment.faces)
+    normals = vertex_normals(x, garment.faces)[garment.faces[found.face]]
+    facing = (np.einsum("nk,nkc->nc", found.barycentric, normals) * cloud.normals).sum(1)
+    mine = (np.abs(found.distance) < REACH) & (facing > FACING)
+    if mine.sum() < ENOUGH * len(cloud.points):
+        return []
+    return [Seen(found.face[mine], found.barycentric[mine], found.distance[mine])]
