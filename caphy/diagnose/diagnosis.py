@@ -13,7 +13,7 @@ from caphy.diagnose.ambiguity import advice, alike
 from caphy.diagnose.base import Base, base_of, checked_scene
 from caphy.diagnose.groups import columns_of
 from caphy.diagnose.outside import Outside, outside
-from caphy.diagnose.search import Search, search
+from caphy.diagnose.search import Search, Term, search, take_back
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
@@ -142,6 +142,8 @@ def diagnose(
     known = base if isinstance(base, Base) else base_of(model, base, garment, body, progress, crew)
     start = model if known is None else known.model
     found = search(study, start, model, known)
+    while (term := _doubtful(found, known, len(study.scenes))) is not None:
+        take_back(study, found, term)
     errors = None
     if held_out and found.fit is not None:
         columns, _ = columns_of(found.screens[0].groups)
@@ -192,6 +194,18 @@ def _concluded(
         study=study,
         notes=tuple(notes),
     )
+
+
+def _doubtful(found: Search, base: Base | None, motions: int) -> Term | None:
+    """Of several accepted effects the last of which no number differs from zero for sure."""
+    if len(found.terms) < 2:
+        return None
+    numbers = _coefficients(found, base, motions)
+    for term in reversed(found.terms):
+        told = [numbers[column.name] for column in term.group.columns]
+        if not any(number.low > 0 or number.high < 0 for number in told):
+            return term
+    return None
 
 
 def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coefficient]) -> str:

@@ -281,18 +281,22 @@ def _eliminate(study: Study, found: Search) -> None:
     """Take back accepted effects whose loss costs next to nothing once the others are refitted."""
     if len(found.terms) < 2 or found.fit is None:
         return
-    first = found.screens[0]
     for term in list(found.terms[:-1]):
-        label = term.group.label
-        if _lost(found.fit, term) > _DISPENSABLE:
-            continue
-        others = [t for t in found.terms if t is not term]
-        columns = tuple(c for group in (t.group for t in others) for c in group.columns)
-        start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
-        responses = study.respond(start, columns, f"without {label}")
-        without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
-        found.removed.append(label)
-        found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns))
+        if _lost(found.fit, term) <= _DISPENSABLE:
+            take_back(study, found, term)
+
+
+def take_back(study: Study, found: Search, term: Term) -> None:
+    """Remove one of several accepted effects, and fit the others without it."""
+    assert found.fit is not None
+    first, label = found.screens[0], term.group.label
+    others = [t for t in found.terms if t is not term]
+    columns = tuple(c for group in (t.group for t in others) for c in group.columns)
+    start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
+    responses = study.respond(start, columns, f"without {label}")
+    without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
+    found.removed.append(label)
+    found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns))
 
 
 def _lost(fitted: Fit, term: Term) -> float:

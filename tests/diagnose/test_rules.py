@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from caphy.diagnose import base, diagnosis
 from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.screen import Score
@@ -98,6 +99,55 @@ def test_numbers_that_may_all_be_zero_name_nothing():
     unsure, sure = Coefficient(0.5, -0.1, 1.1, "Pa"), Coefficient(-0.5, -0.9, -0.1, "Pa")
     assert "different from zero" in unproven(0.2, None, {"a": unsure, "b": unsure})
     assert unproven(0.2, held_out(0.2, 0.01), {"a": unsure, "b": sure}) == ""
+
+
+@pytest.mark.parametrize(
+    ("drag", "pressure", "doubted"),
+    [
+        ((0.5, 1.5), (-0.1, 0.3), "pressure"),
+        ((-0.5, 1.5), (0.1, 0.3), "mass_damping"),
+        ((-0.5, 1.5), (-0.1, 0.3), "pressure"),  # the one that was found last
+        ((0.5, 1.5), (-0.3, -0.1), None),
+    ],
+)
+def test_of_several_effects_one_that_may_be_zero_is_doubted(drag, pressure, doubted, monkeypatch):
+    told = {"mass_damping.rate": drag, "pressure.pressure": pressure}
+    monkeypatch.setattr(diagnosis, "intervals", lambda *_: {n: (sum(e) / 2, *e, "1") for n, e in told.items()})
+    found = Search(terms=[Term(group, SimpleNamespace(), {}) for group in (DRAG, PRESSURE)], fit=SimpleNamespace())
+    term = diagnosis._doubtful(found, None, 1)
+    assert (None if term is None else term.group.label) == doubted
+    found.terms = found.terms[1:]
+    assert diagnosis._doubtful(found, None, 1) is None  # what stands alone is not taken back here
+
+
+@pytest.mark.parametrize(
+    ("fits", "left"),
+    [
+        ([((9.0, -0.35), 0.13), ((-0.35,), 0.06)], ["strain_stvk.lame_mu"]),  # lambda ran to its bound, mu is told
+        ([((9.0, -0.35), 0.13), ((-0.05,), 0.005)], []),  # and not even mu is, alone
+        ([((9.0, -0.35), 0.4)], ["strain_stvk.lame_lambda", "strain_stvk.lame_mu"]),  # too much to be a mesh's doing
+        ([((-0.9, 0.35), 0.13), ((0.3,), 0.06)], ["strain_stvk.lame_mu"]),
+        ([((1.5, -0.35), 0.13)], ["strain_stvk.lame_lambda", "strain_stvk.lame_mu"]),
+        ([((1.5, -0.35), 0.04)], []),
+        ([((0.0, 0.0), 0.0)], []),  # roll-outs did not agree
+    ],
+)
+def test_parameters_that_run_to_their_bounds_are_left_alone(fits, left, monkeypatch):
+    """Lambda times ten beside a softer mu is what a mesh that locks asks for."""
+    columns = [Column("strain_stvk", name, None) for name in ("lame_lambda", "lame_mu")]
+    answers = iter(fits)
+
+    def fitted(_study, _model, tried, *_):
+        change, share = next(answers)
+        return SimpleNamespace(columns=tuple(tried), change=np.array(change), share=share)
+
+    monkeypatch.setattr(base, "fit", fitted)
+    monkeypatch.setattr(base, "picked", lambda *_: [])
+    monkeypatch.setattr(base, "_far_off", lambda *_: columns)
+    look = SimpleNamespace(columns=tuple(columns), probed=[], variance=None, known=SimpleNamespace(weight=None))
+    found = base._fitted(None, look, None)
+    assert ([] if found is None else [column.name for column in found.columns]) == left
+    assert next(answers, None) is None  # all were asked for
 
 
 def test_an_effect_that_is_fitted_on_is_named_once():
