@@ -105,7 +105,15 @@ def test_numbers_are_those_of_all_workers(pair):
 
 
 def test_connections_are_shared(avatars, pair):
-    """Neither worker takes everything of a burst; asyncio alone would let the first accept all that wait."""
+    """Neither worker takes everything of a burst; asyncio alone would let the first accept all that wait.
+
+    A busy machine may keep one of them from running for as long as a burst takes, but not three times.
+    """
+    assert max(min(_burst(pair)) for _ in range(3)) >= 4
+
+
+def _burst(pair: LiveService) -> list[int]:
+    """How many of 40 connections opened at once each worker takes."""
     held = [HTTPConnection("127.0.0.1", pair.port, timeout=10) for _ in range(40)]
     for connection in held:
         connection.connect()
@@ -117,7 +125,7 @@ def test_connections_are_shared(avatars, pair):
     for connection in held:
         connection.close()
     assert sum(counts) >= 40
-    assert min(counts) >= 4
+    return counts
 
 
 def connections_of(pid: int, port: int) -> int:
