@@ -39,8 +39,8 @@ class Skin:
 
     faces: np.ndarray
     at: Callable[[float], np.ndarray]
-    distance: float = 0.004
-    friction: float = 0.0
+    distance: float
+    friction: float
 
 
 class NewtonCloth:

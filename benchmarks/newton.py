@@ -179,9 +179,10 @@ def measured_on_body(case: str, part: str, films: Path) -> list[Measurement]:
 
 def _worn(shirt: Garment, case: Case, play: Play) -> np.ndarray:
     """Positions (T, V, 3) [m] in each frame of a play, after the way there from the T-pose."""
-    body, ahead, distance = play.drive.body, play.drive.ahead, WORN.effects["body_contact"].get("distance", 0.004)
+    body, ahead = play.drive.body, play.drive.ahead
     assert body is not None
-    skin = Skin(body.faces, lambda time: body.at(time + ahead), distance, case.friction)
+    distance = find_effect("body_contact").parameters["distance"].default
+    skin = Skin(body.faces, lambda time: body.at(time + ahead), float(distance), case.friction)
     simulated = NewtonCloth(shirt.vertices, shirt.faces, np.zeros(0, int), case.fabric, skin)
     surface = Surface(shirt.vertices, shirt.faces)
     until = (FRAMES - 1) / FPS

@@ -15,6 +15,7 @@ from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
+    from caphy.effects.model import Model
     from caphy.register.articulation import Figure, Placement
     from caphy.register.cloud import Cloud
     from caphy.register.fit import BodyFit, Taken
@@ -183,6 +184,7 @@ def _pictured(fit: BodyFit, scans: ScanSet, command: Body) -> Path:
 
 
 def _garments(command: Garments) -> None:
+    from caphy.effects.presets import fabric_model
     from caphy.register.result import read_fit, write_text
     from caphy.scan.scan_set import ScanSet
 
@@ -191,13 +193,13 @@ def _garments(command: Garments) -> None:
     unknown = [name for name in fit.names if name not in scans.names]
     if unknown:
         raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
-    found = {}
+    found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
     for kind in command.kinds:
-        found[kind] = _garment(command, fit, scans, kind)
+        found[kind] = _garment(command, fit, scans, kind, model)
     write_text(command.output / "garments.json", json.dumps(found, indent=1, allow_nan=False))
 
 
-def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upper", "lower"]) -> dict:
+def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upper", "lower"], model: Model) -> dict:
     from dataclasses import asdict
 
     from caphy.register.chamfer import Target
@@ -221,7 +223,7 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
         placements = [fit.placements[i] for i in chosen]
         with Progress() as progress:
             choice = choose(fit.figure, targets, kind, progress)
-            worn = _hung(choice, fit.figure, placements, clouds, kind, command.fabric, progress)
+            worn = _hung(choice, fit.figure, placements, clouds, kind, model, progress)
         garment, told = made(worn, fit.figure), asdict(worn.style) | {"families": dict(choice.runners_up)}
         distance, looked_at = choice.distance, choice.looked_at
     path = command.output / f"{kind}.npz"
@@ -237,16 +239,14 @@ def _hung(
     placements: list[Placement],
     clouds: list[Cloud],
     kind: str,
-    fabric: str,
+    model: Model,
     progress: Progress,
 ) -> Choice:
     """The choice with eases that hang as the plainest scans show; as it was where that cannot be told."""
     from dataclasses import replace
 
-    from caphy.effects.presets import fabric_model
     from caphy.register.eases import SCANS, hung_eases
 
-    model = fabric_model(fabric)
     try:
         style = hung_eases(choice.style, figure, placements[:SCANS], clouds[:SCANS], kind, model, progress)
     except CaphyError as error:

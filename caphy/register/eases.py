@@ -3,9 +3,8 @@
 A loose shirt lies on the back and the shoulders and stands off elsewhere; a style that follows the skeleton stands off
 all round by the same. Held against each other by nearest points, the style that fits best is too tight. So the style is
 put on the body, worn into the pose and brought to rest by the reference solver; where the scan then lies farther out
-than the cloth, the garment is too small, and its eases grow by what makes up for that in the mean. Some of what they
-grow by goes into folds, so that this is done again and again; few times, for the less is left the less the scan's own
-folds tell of it.
+than the cloth, the garment is too small, and its eases grow by what makes up for that in the mean. Part of what they
+grow by goes into folds instead of outwards, so that it is done three times.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class Matches:
         return self.height - self.wanted
 
 
-def match(placed: PlacedFigure, surface: Surface, cloud: Cloud, reach: float, scans: int = 1) -> Matches:
+def match(placed: PlacedFigure, surface: Surface, cloud: Cloud, reach: float, scans: int) -> Matches:
     """Hold a cloud against a placed body.
 
     Args:
