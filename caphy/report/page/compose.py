@@ -104,7 +104,7 @@ def diagnosis_page(title: str, document: dict, pictures: Sequence[Picture], fact
         .render(
             title=title,
             d=document,
-            plots=[(caption, plots.bar_plot(caption, rows, None, label, 186)) for caption, label, rows in shown],
+            plots=[(caption, plots.bar_plot(caption, rows, None, label)) for caption, label, rows in shown],
             pictures=[_inline(picture) for picture in pictures],
             facts=facts,
             style=(FOLDER / "page.css").read_text(encoding="utf-8"),

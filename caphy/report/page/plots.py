@@ -98,10 +98,10 @@ def bar_plot(
     rows: Sequence[tuple[str, Value, Value]],
     floor: Value,
     label: str = "mm: median, line to 95 %",
-    left: int = 132,
 ) -> str:
     """Horizontal bars with a whisker each, by default of medians [mm] and 95th percentiles: (name, bar, whisker)."""
     line, gap = 24, 10
+    left = max(132, 14 + round(6.6 * max((len(name) for name, _, _ in rows), default=0)))  # the longest name fits
     height = gap + line * len(rows) + 34
     high = 1.05 * max([max(m or 0, p or 0) for _, m, p in rows] + [floor or 0, 1e-3])
     x = _scale(0, high, left, WIDTH - RIGHT)
