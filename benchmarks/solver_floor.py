@@ -2,9 +2,10 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.solver_floor RUN SESSION [--fabric gray-interlock]
 
-SESSION is what ``caphy capture-sim`` wrote, RUN what ``caphy fit`` or ``caphy register`` made of it. Three rows: the
-true body, poses, cut and fabric, on the rig's coarse mesh; and the body, poses and templates that were found, in the
-true fabric and in the measured one that a fit starts from. Chamfer as ``caphy evaluate`` has it.
+SESSION is what ``caphy capture-sim`` wrote, RUN what ``caphy fit`` or ``caphy register`` made of it. Four rows: the
+true body, poses, cut and fabric, on another mesh than the rig's; the same body and poses in the templates that were
+found; and body, poses and templates as found, in the true fabric and in the measured one that a fit starts from.
+Chamfer as ``caphy evaluate`` has it.
 """
 
 from __future__ import annotations
@@ -23,10 +24,14 @@ from caphy.capture.subject import Fabric
 from caphy.capture.subject import Subject as Person
 from caphy.evaluate.dressed import Dressed, Subject
 from caphy.evaluate.score import HeldOut
+from caphy.garment.families import make
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.register.points import read_points
 from caphy.scan.scan_set import ScanSet
 from caphy.solve.body_motion import BodyMotion
+
+EDGE_LENGTH = 0.0205
+"""Of the true cut's other mesh [m], about that of templates; the rig's is 0.018."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +56,11 @@ def main() -> None:
     names = [path.stem for path in sorted((options.session / "truth" / "stills").glob("*.npz"))]
     templates = {label: found.garments[label] for label in truth.garments}
     as_found = replace(truth, body=found.body, garments=templates, rough=templates)
+    cuts = {k: make(replace(cut, edge_length=EDGE_LENGTH), truth.body) for k, cut in truth.families.items()}
     started = {label: Fabric(options.fabric, 1.0, 1.0, fabric.density) for label, fabric in truth.fabrics.items()}
     rows: Mapping[str, tuple[Person, bool]] = {
-        "true body, poses, cut and fabric; another mesh": (replace(truth, garments=dict(truth.rough)), True),
+        "true body, poses, cut and fabric; another mesh": (replace(truth, garments=cuts), True),
+        "true body, poses and fabric; found templates": (replace(truth, garments=templates, rough=templates), True),
         "found body, poses and templates; true fabric": (as_found, False),
         f"found body, poses and templates; {options.fabric}": (replace(as_found, fabrics=started), False),
     }

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from caphy.body.model import BodyModel
     from caphy.effects.model import Model
     from caphy.register.articulation import Figure, Placement
-    from caphy.register.cloud import Cloud
     from caphy.register.fit import BodyFit, Taken
     from caphy.register.template import Choice
     from caphy.scan.scan import Scan
@@ -204,6 +203,7 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
 
     from caphy.register.chamfer import Target
     from caphy.register.cloud import Cloud
+    from caphy.register.eases import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
     from caphy.register.template import COMPARED, choose, made, plainest
 
@@ -223,7 +223,8 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
         placements = [fit.placements[i] for i in chosen]
         with Progress() as progress:
             choice = choose(fit.figure, targets, kind, progress)
-            worn = _hung(choice, fit.figure, placements, clouds, kind, model, progress)
+            nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
+            worn = _hung(choice, fit.figure, placements, nearest, kind, model, progress)
         garment, told = made(worn, fit.figure), asdict(worn.style) | {"families": dict(choice.runners_up)}
         distance, looked_at = choice.distance, choice.looked_at
     path = command.output / f"{kind}.npz"
@@ -237,7 +238,7 @@ def _hung(
     choice: Choice,
     figure: Figure,
     placements: list[Placement],
-    clouds: list[Cloud],
+    scans: list[Scan],
     kind: str,
     model: Model,
     progress: Progress,
@@ -245,10 +246,12 @@ def _hung(
     """The choice with eases that hang as the plainest scans show; as it was where that cannot be told."""
     from dataclasses import replace
 
-    from caphy.register.eases import SCANS, hung_eases
+    from caphy.register.eases import hung_eases
+    from caphy.register.girth import Sheet
 
+    sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
-        style = hung_eases(choice.style, figure, placements[:SCANS], clouds[:SCANS], kind, model, progress)
+        style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress)
     except CaphyError as error:
         print(f"the {kind} garment's eases are told by distances alone: {error}")
         return choice

@@ -2,15 +2,15 @@
 
 A loose shirt lies on the back and the shoulders and stands off elsewhere; a style that follows the skeleton stands off
 all round by the same. Held against each other by nearest points, the style that fits best is too tight. So the style is
-put on the body, worn into the pose and brought to rest by the reference solver; where the scan then lies farther out
-than the cloth, the garment is too small, and its eases grow by what makes up for that in the mean. Part of what they
-grow by goes into folds instead of outwards, so that it is done three times.
+put on the body, worn into the pose and brought to rest by the reference solver; where the scan then has more cloth than
+the hung garment, the garment is too small, and its eases grow by what makes up for that. That is done three times, for
+with other eases it hangs elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,11 +26,9 @@ from caphy.garment.meshing import contour
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.register.articulation import Figure, Placement
-from caphy.register.chamfer import LABELS
-from caphy.register.cloud import Cloud
+from caphy.register.girth import Sheet, area_gains, eases_step, shown
 from caphy.register.styles import GRID
 from caphy.register.template import dressed_body
-from caphy.report.render import vertex_normals
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.solve.preroll import start_state
@@ -46,16 +44,8 @@ SPREAD = {"ease": 0.02, "sleeve_ease": 0.02, "leg_ease": 0.02, "flare": 0.1, "ta
 """How far eases may be off [m, or metres per metre]: standard deviation of what is known of each before."""
 MOST = {"ease": 0.1, "sleeve_ease": 0.06, "leg_ease": 0.1, "flare": 0.5, "taper": 0.3}
 """Greatest value of each."""
-POINTS = 2000
-"""Points of each scan's cloth that are held against it."""
-REACH, FACING = 0.06, 0.3
-"""How far from the cloth points may lie [m], and how much they must face as it does (cosine)."""
 ENOUGH = 0.3
-"""Share of a scan's points that must do so for the scan to count."""
-FOLDS, WAVES = 0.01, 50
-"""How far folds put a point off [m], and how many of a scan's points are put off independently."""
-ROBUST = 0.03
-"""Height at which a point counts a quarter [m]."""
+"""Share of the area of a scan's cloth that must lie over the hung garment for the scan to count."""
 NUDGE = 0.01
 """By which an ease is changed to see what it does [m, or metres per metre]."""
 REST = 1e-4
@@ -67,20 +57,11 @@ to rest in so many; that matters less than in which fold they fell."""
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """Points of a scan over hung cloth: the face each is nearest to (N,), where on it (N, 3), and height (N,) [m]."""
-
-    face: np.ndarray
-    share: np.ndarray
-    height: np.ndarray
-
-
 def hung_eases(
     style: Family,
     figure: Figure,
     placements: Sequence[Placement],
-    clouds: Sequence[Cloud],
+    sheets: Sequence[Sheet],
     kind: str,
     model: Model,
     progress: Progress,
@@ -89,29 +70,29 @@ def hung_eases(
 
     Args:
         placements: where the body stands in each of some scans.
-        clouds: those scans.
+        sheets: the cloth that those scans show of it.
         kind: "upper" or "lower".
-        model: the physics of the cloth. The stiffer it is, the farther it stands off, and the less ease it needs.
+        model: the physics of the cloth, which tells in which folds it lies, and little of their area.
 
     Raises:
         CaphyError: the garment cannot be meshed, or does not hang where the scans show one.
     """
     body, names = dressed_body(figure), [name for name in SPREAD if hasattr(style, name)]
+    spread = np.array([SPREAD[name] for name in names])
     for number in range(ROUNDS):
         (garment, cloth), seen = _coarse(style, body, model), []
-        for place, (placement, cloud) in enumerate(zip(placements, clouds, strict=True)):
-            progress(f"{kind}: hung in scans", number * len(clouds) + place, ROUNDS * len(clouds))
-            x = hung(garment, cloth, body, placement, model)
-            mine = cloud.labels == LABELS[kind]
-            whole = Cloud(cloud.name, cloud.points[mine], cloud.normals[mine], cloud.labels[mine])
-            seen += _over(x, garment, whole.thinned(POINTS))
+        for place, (placement, sheet) in enumerate(zip(placements, sheets, strict=True)):
+            progress(f"{kind}: hung in scans", number * len(sheets) + place, ROUNDS * len(sheets))
+            seen.append(shown(hung(garment, cloth, body, placement, model), garment.faces, sheet))
+        seen = [each for each in seen if each.share > ENOUGH]
         if not seen:
             raise CaphyError(
-                f"the {kind} garment does not hang where the scans show one (fewer than {100 * ENOUGH:.0f} % of its "
-                f"points lie within {100 * REACH:g} cm); are the labels and the poses right?"
+                f"the {kind} garment does not hang where the scans show one (less than {100 * ENOUGH:.0f} % of their "
+                "cloth lies over it); are the labels and the poses right?"
             )
         slopes = widening(style, names, body, garment.vertices)
-        step = eases_step(seen, slopes[garment.faces], np.array([SPREAD[name] for name in names]))
+        parts = garment.weights[garment.faces].sum(axis=1).argmax(axis=1)  # the joint that a face follows most
+        step = eases_step(seen, area_gains(garment.vertices, garment.faces, slopes), parts, spread)
         changed = {
             name: float(np.clip(getattr(style, name) + by, 0.0, MOST[name]))
             for name, by in zip(names, step, strict=True)
@@ -153,30 +134,3 @@ def widening(style: Family, names: Sequence[str], body: BodyModel, vertices: np.
         cut = changed.cut(marks)
         found.append(nearest_on_surface(vertices, *contour(cut.surface, cut.low, cut.high, GRID)).distance)
     return np.stack([(found[0] - wider) / NUDGE for wider in found[1:]], axis=1)
-
-
-def eases_step(seen: Sequence[Seen], slopes: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """By how much eases (K,) must grow for the cloth to lie among the points.
-
-    Args:
-        slopes: per unit of each ease, outward movement of each face's corners (F, 3, K).
-        spread: standard deviation of each ease (K,).
-    """
-    matrix, right = np.diag(1 / spread**2), np.zeros(len(spread))
-    for each in seen:
-        rows = np.einsum("nj,njk->nk", each.share, slopes[each.face])
-        weight = WAVES / (len(each.height) * FOLDS**2) / (1 + (each.height / ROBUST) ** 2) ** 2
-        matrix += rows.T @ (weight[:, None] * rows)
-        right += rows.T @ (weight * each.height)
-    return np.linalg.solve(matrix, right)
-
-
-def _over(x: np.ndarray, garment: Garment, cloud: Cloud) -> list[Seen]:
-    """The points of a cloud that belong to cloth at positions x (V, 3); none where they are too few."""
-    found = nearest_on_surface(cloud.points, x, garment.faces)
-    normals = vertex_normals(x, garment.faces)[garment.faces[found.face]]
-    facing = (np.einsum("nk,nkc->nc", found.barycentric, normals) * cloud.normals).sum(1)
-    mine = (np.abs(found.distance) < REACH) & (facing > FACING)
-    if mine.sum() < ENOUGH * len(cloud.points):
-        return []
-    return [Seen(found.face[mine], found.barycentric[mine], found.distance[mine])]

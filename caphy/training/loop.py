@@ -50,7 +50,8 @@ DECAY = 0.3
 
 Without it a network learns its motions by heart: of the default T-shirt, trained for 24,000 steps, the mean potential
 over held-out frames rose from 3.4 to 3.7 J while that over its own fell, and its stream drifted by 30 mm. With it
-12,000 steps come to 2.7 J and 4 mm.
+12,000 steps come to 2.7 J and 4 mm. Of a T-shirt taught by 32 scans besides, 1,000 steps, it brought the distance from
+eight held-out scans from 16.3 to 14.9 mm; more of it, 1.0, gave 15.0.
 """
 
 
@@ -127,8 +128,7 @@ class Trainer:
         if self.world > 1:
             self.model = torch.nn.parallel.DistributedDataParallel(self.learner, forward_sync_buffers=False)
         weights, biases = ([p for p in self.learner.parameters() if p.ndim == n] for n in (2, 1))
-        decay = DECAY if scans is None else 0.0
-        groups = [{"params": weights, "weight_decay": decay}, {"params": biases, "weight_decay": 0.0}]
+        groups = [{"params": weights, "weight_decay": DECAY}, {"params": biases, "weight_decay": 0.0}]
         self.optimizer = torch.optim.AdamW(groups, betas=(0.9, 0.99), fused=True)
         self.usual = USUAL * float(objective.potential.cloth.vertex_area.sum())
         self.track = Track(motions, Streams(motions, schedule.streams, seed), objective, network, own)

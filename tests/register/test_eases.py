@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from caphy.body.bundled import default_body
 from caphy.conventions import JOINT_NAMES
@@ -14,13 +15,13 @@ from caphy.effects.presets import fabric_model
 from caphy.errors import CaphyError
 from caphy.garment.families import Trousers, Tshirt, make
 from caphy.register.articulation import Figure, Placement
-from caphy.register.cloud import Cloud
-from caphy.register.eases import Seen, eases_step, hung, hung_eases, widening
-from caphy.scan.scan import UPPER
+from caphy.register.eases import hung, hung_eases, widening
+from caphy.register.girth import Sheet
+from caphy.scan.scan import UPPER, Scan
 
 BODY = default_body()
 FIGURE = Figure.of(BODY)
-FABRIC = "gray-interlock"
+FABRIC, ANOTHER = "gray-interlock", "camel-ponte-roma"
 
 
 def standing(arms: float) -> Placement:
@@ -31,28 +32,25 @@ def standing(arms: float) -> Placement:
     return Placement.of(pose, np.zeros(3))
 
 
-def seen(placement: Placement, style: Tshirt) -> Cloud:
-    """What a scanner with 1 mm of noise sees of a hung shirt: points from an even spread over its triangles."""
-    garment, model = make(style, BODY), fabric_model(FABRIC)
+def seen(placement: Placement, style: Tshirt, fabric: str) -> Sheet:
+    """What a scanner with 1 mm of noise sees of a hung shirt: its triangles cut in sixteen, edges of 8 mm."""
+    garment, model = make(style, BODY), fabric_model(fabric)
     x = hung(garment, Cloth.of(garment, model.density), BODY, placement, model)
-    corners = x[garment.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    random = np.random.default_rng(4)
-    area = np.linalg.norm(normals, axis=1)
-    face = random.choice(len(area), 5000, p=area / area.sum())
-    points = np.einsum("nk,nkc->nc", random.dirichlet(np.ones(3), 5000), corners[face])
-    noisy = points + random.normal(0, 1e-3, points.shape)
-    return Cloud("made", noisy, normals[face] / area[face, None], np.full(5000, UPPER))
+    mesh = trimesh.Trimesh(x, garment.faces, process=False).subdivide().subdivide()
+    noisy = mesh.vertices + np.random.default_rng(4).normal(0, 1e-3, mesh.vertices.shape)
+    labels = np.full(len(noisy), UPPER, np.uint8)
+    return Sheet.of(Scan("made", noisy, np.asarray(mesh.faces, np.int32), labels=labels), "upper")
 
 
 def test_a_shirt_that_is_too_tight_is_widened():
-    """Of the same fabric, on another mesh; starting 1.5 cm too tight round the chest and 1.2 cm round the arm."""
-    true, placement, model = Tshirt(ease=0.027, sleeve_ease=0.016, edge_length=0.03), standing(60), fabric_model(FABRIC)
-    tight = replace(true, ease=0.012, sleeve_ease=0.004)
-    found = hung_eases(tight, FIGURE, [placement], [seen(placement, true)], "upper", model, lambda *_: None)
+    """Of a fabric that the fit does not know, on another mesh; 1.5 cm too tight at the chest and 1.2 at the arm."""
+    true, model = Tshirt(ease=0.027, sleeve_ease=0.016, edge_length=0.03), fabric_model(FABRIC)
+    tight, placements = replace(true, ease=0.012, sleeve_ease=0.004), [standing(20), standing(40)]
+    sheets = [seen(placement, true, ANOTHER) for placement in placements]
+    found = hung_eases(tight, FIGURE, placements, sheets, "upper", model, lambda *_: None)
     assert isinstance(found, Tshirt)
-    assert tight.ease + 0.004 < found.ease < true.ease + 0.004
-    assert tight.sleeve_ease + 0.003 < found.sleeve_ease < true.sleeve_ease + 0.004
+    assert found.ease == pytest.approx(true.ease, abs=0.005)
+    assert found.sleeve_ease == pytest.approx(true.sleeve_ease, abs=0.005)
     assert (found.length, found.sleeve, found.edge_length) == (true.length, true.sleeve, true.edge_length)
 
 
@@ -76,22 +74,9 @@ def test_what_an_ease_widens():
     assert np.median(slopes[thigh, 1]) == pytest.approx(1.0, abs=0.1) and np.abs(slopes[thigh, 0]).max() < 0.1
 
 
-def test_the_step_is_that_of_least_squares():
-    """With points exactly on a cloth that is too small by given eases, those eases are told (Geman's weights aside)."""
-    random = np.random.default_rng(0)
-    slopes = random.normal(size=(50, 3, 2))
-    face, share = random.integers(0, 50, 400), random.dirichlet(np.ones(3), 400)
-    wanted = np.array([0.002, -0.001])
-    height = np.einsum("nj,njk,k->n", share, slopes[face], wanted)
-    step = eases_step([Seen(face, share, height)], slopes, np.full(2, 1e3))
-    np.testing.assert_allclose(step, wanted, rtol=1e-6)
-    kept = eases_step([Seen(face, share, height)], slopes, np.full(2, 1e-9))
-    assert np.abs(kept).max() < 1e-9  # nothing is believed against a firm belief
-
-
 def test_a_scan_that_shows_nothing_near_is_refused():
     placement = standing(60)
-    random = np.random.default_rng(0)
-    away = Cloud("away", random.normal(0, 0.1, (300, 3)) + 3.0, np.tile([0.0, 0.0, 1.0], (300, 1)), np.full(300, UPPER))
+    body, away = default_body().v_template, 3.0
+    far = Sheet(body + away, BODY.faces)
     with pytest.raises(CaphyError, match="does not hang where the scans show one"):
-        hung_eases(Tshirt(), FIGURE, [placement], [away], "upper", fabric_model(FABRIC), lambda *_: None)
+        hung_eases(Tshirt(), FIGURE, [placement], [far], "upper", fabric_model(FABRIC), lambda *_: None)
