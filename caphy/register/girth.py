@@ -66,6 +66,8 @@ def shown(vertices: np.ndarray, faces: np.ndarray, sheet: Sheet) -> Shown:
     hole of the scan, or beyond an end of either, has no counterpart. Rims themselves are left out for the same reason.
     """
     own, normals = _areas(vertices, faces)
+    if len(sheet.faces) == 0:
+        return Shown(np.zeros(len(faces)), np.zeros(len(faces)), 0.0)
     theirs, their_normals = _areas(sheet.vertices, sheet.faces)
     inside, their_inside = ~_on_rim(faces, len(vertices)), ~_on_rim(sheet.faces, len(sheet.vertices))
     over = nearest_on_surface(sheet.vertices[sheet.faces].mean(axis=1), vertices, faces)

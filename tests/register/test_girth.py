@@ -75,6 +75,12 @@ def test_what_no_camera_saw_is_no_lack_of_cloth():
     assert half.scanned.sum() / half.own.sum() == pytest.approx(whole.scanned.sum() / whole.own.sum(), abs=0.025)
 
 
+def test_a_scan_without_that_garment_shows_nothing():
+    vertices, faces = tube(plain, 27, 17)
+    found = shown(vertices, faces, Sheet.of(scan(plain), "lower"))
+    assert found.share == found.own.sum() == found.scanned.sum() == 0
+
+
 def test_area_gains_are_differences_of_areas():
     vertices, faces = tube(lambda angle: RADIUS * (1 + 0.2 * np.sin(3 * angle)), 40, 20)
     random = np.random.default_rng(1)
