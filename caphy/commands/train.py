@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 from dataclasses import dataclass, fields, replace
@@ -96,20 +97,25 @@ def main(arguments: list[str]) -> int | None:
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         dist.init_process_group("nccl" if options.device == "cuda" else "gloo")
     try:
-        trainer = prepare(options)
-        if options.resume:
-            trainer.resume()
-        try:
-            trainer.run()
-        except KeyboardInterrupt:
-            trainer.say("interrupted; go on with --resume")
-            return 130
-        if trainer.rank == 0:
-            print(f"wrote {options.output}: network, checkpoint, metrics.jsonl")
-            print(f"next: caphy export {options.output} -o avatars/{options.output.name}")
+        return _run(options)
     finally:
+        gc.collect()  # the trainer holds the group, whose threads must end before the interpreter does, or it aborts
         if dist.is_initialized():
             dist.destroy_process_group()
+
+
+def _run(options: Train) -> int:
+    trainer = prepare(options)
+    if options.resume:
+        trainer.resume()
+    try:
+        trainer.run()
+    except KeyboardInterrupt:
+        trainer.say("interrupted; go on with --resume")
+        return 130
+    if trainer.rank == 0:
+        print(f"wrote {options.output}: network, checkpoint, metrics.jsonl")
+        print(f"next: caphy export {options.output} -o avatars/{options.output.name}")
     return 0
 
 
