@@ -246,16 +246,20 @@ def _hung(
     """The choice with eases that hang as the plainest scans show; as it was where that cannot be told."""
     from dataclasses import replace
 
+    from caphy.effects.cloth import Cloth
     from caphy.register.eases import hung_eases
     from caphy.register.girth import Sheet
+    from caphy.register.template import made
 
     sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
         style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress)
+        worn = replace(choice, style=style)
+        Cloth.of(made(worn, figure), model.density)  # refuses faces without area, which tight cuts may have
     except CaphyError as error:
         print(f"the {kind} garment's eases are told by distances alone: {error}")
         return choice
-    return replace(choice, style=style)
+    return worn
 
 
 def _points(command: Points) -> None:
