@@ -2,9 +2,9 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.solver_floor RUN SESSION [--fabric gray-interlock]
 
-SESSION is what ``caphy capture-sim`` wrote, RUN what ``caphy fit`` or ``caphy register`` made of it. Four rows: the
-true body, poses, cut and fabric, on another mesh than the rig's; the same body and poses in the templates that were
-found; and body, poses and templates as found, in the true fabric and in the measured one that a fit starts from.
+SESSION is what ``caphy capture-sim`` wrote, RUN what ``caphy fit`` or ``caphy register`` made of it. Five rows: what
+made the scans, draped again; the same on another mesh than the rig's; the true body and poses in the templates that
+were found; and body, poses and templates as found, in the true fabric and in the measured one that a fit starts from.
 Chamfer as ``caphy evaluate`` has it.
 """
 
@@ -59,6 +59,7 @@ def main() -> None:
     cuts = {k: make(replace(cut, edge_length=EDGE_LENGTH), truth.body) for k, cut in truth.families.items()}
     started = {label: Fabric(options.fabric, 1.0, 1.0, fabric.density) for label, fabric in truth.fabrics.items()}
     rows: Mapping[str, tuple[Person, bool]] = {
+        "what made the scans": (truth, True),
         "true body, poses, cut and fabric; another mesh": (replace(truth, garments=cuts), True),
         "true body, poses and fabric; found templates": (replace(truth, garments=templates, rough=templates), True),
         "found body, poses and templates; true fabric": (as_found, False),

@@ -16,6 +16,8 @@ from caphy.errors import CaphyError
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
     from caphy.effects.model import Model
+    from caphy.garment.families import Family
+    from caphy.garment.template import Garment
     from caphy.register.articulation import Figure, Placement
     from caphy.register.fit import BodyFit, Taken
     from caphy.register.template import Choice
@@ -205,7 +207,7 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
     from caphy.register.cloud import Cloud
     from caphy.register.eases import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
-    from caphy.register.template import COMPARED, choose, made, plainest
+    from caphy.register.template import COMPARED, choose, plainest
 
     chosen = plainest(fit.placements)
     names = [fit.names[i] for i in chosen]
@@ -224,8 +226,8 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
         with Progress() as progress:
             choice = choose(fit.figure, targets, kind, progress)
             nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
-            worn = _hung(choice, fit.figure, placements, nearest, kind, model, progress)
-        garment, told = made(worn, fit.figure), asdict(worn.style) | {"families": dict(choice.runners_up)}
+            style, garment = _hung(choice, fit.figure, placements, nearest, kind, model, progress)
+        told = asdict(style) | {"families": dict(choice.runners_up)}
         distance, looked_at = choice.distance, choice.looked_at
     path = command.output / f"{kind}.npz"
     garment.save(path)
@@ -242,8 +244,8 @@ def _hung(
     kind: str,
     model: Model,
     progress: Progress,
-) -> Choice:
-    """The choice with eases that hang as the plainest scans show; as it was where that cannot be told."""
+) -> tuple[Family, Garment]:
+    """The chosen style with eases that hang as the plainest scans show, or its own, and what it makes."""
     from dataclasses import replace
 
     from caphy.effects.cloth import Cloth
@@ -254,12 +256,12 @@ def _hung(
     sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
         style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress)
-        worn = replace(choice, style=style)
-        Cloth.of(made(worn, figure), model.density)  # refuses faces without area, which tight cuts may have
+        garment = made(replace(choice, style=style), figure)
+        Cloth.of(garment, model.density)  # refuses faces without area, which tight cuts may have
     except CaphyError as error:
         print(f"the {kind} garment's eases are told by distances alone: {error}")
-        return choice
-    return worn
+        return choice.style, made(choice, figure)
+    return style, garment
 
 
 def _points(command: Points) -> None:

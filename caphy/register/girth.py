@@ -14,6 +14,8 @@ import numpy as np
 import trimesh
 
 from caphy.body.surface import nearest_on_surface
+from caphy.garment.meshing import drop_unused
+from caphy.garment.topology import boundary_edges, face_areas, face_normals
 from caphy.register.chamfer import LABELS
 from caphy.report.render import vertex_normals
 from caphy.scan.scan import Scan
@@ -41,12 +43,11 @@ class Sheet:
     def of(cls, scan: Scan, kind: str) -> Sheet:
         """The ``upper`` or ``lower`` garment of a scan that has labels."""
         assert scan.labels is not None
-        used, faces = _compact(scan.faces)
-        mesh = trimesh.Trimesh(scan.vertices[used], faces, process=False)
+        kept = (scan.labels[scan.faces] == LABELS[kind]).all(axis=1)
+        mesh = trimesh.Trimesh(*drop_unused(scan.vertices, scan.faces), process=False)
         passes = round(EVENED * (EDGE / float(mesh.edges_unique_length.mean())) ** 2)
         trimesh.smoothing.filter_taubin(mesh, iterations=min(max(passes, 1), MOST_EVENED))
-        worn, faces = _compact(faces[(scan.labels[scan.faces] == LABELS[kind]).all(axis=1)])
-        return cls(np.asarray(mesh.vertices)[worn], faces)
+        return cls(*drop_unused(np.asarray(mesh.vertices), np.asarray(mesh.faces)[kept]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +66,11 @@ def shown(vertices: np.ndarray, faces: np.ndarray, sheet: Sheet) -> Shown:
     A place counts if the nearest one of the other surface is near, faces alike and is not on its rim: what lies over a
     hole of the scan, or beyond an end of either, has no counterpart. Rims themselves are left out for the same reason.
     """
-    own, normals = _areas(vertices, faces)
     if len(sheet.faces) == 0:
         return Shown(np.zeros(len(faces)), np.zeros(len(faces)), 0.0)
-    theirs, their_normals = _areas(sheet.vertices, sheet.faces)
-    inside, their_inside = ~_on_rim(faces, len(vertices)), ~_on_rim(sheet.faces, len(sheet.vertices))
+    own, theirs = face_areas(vertices, faces), face_areas(sheet.vertices, sheet.faces)
+    normals, their_normals = face_normals(vertices, faces), face_normals(sheet.vertices, sheet.faces)
+    inside, their_inside = ~_on_rim(faces), ~_on_rim(sheet.faces)
     over = nearest_on_surface(sheet.vertices[sheet.faces].mean(axis=1), vertices, faces)
     under = nearest_on_surface(vertices[faces].mean(axis=1), sheet.vertices, sheet.faces)
     alike = (their_normals * normals[over.face]).sum(axis=1) > 0
@@ -82,7 +83,7 @@ def shown(vertices: np.ndarray, faces: np.ndarray, sheet: Sheet) -> Shown:
 
 def area_gains(vertices: np.ndarray, faces: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Growth of each face's area (F, K) [m^2] per unit of K eases that move vertices outwards by slopes (V, K)."""
-    corners, (_, normals) = vertices[faces], _areas(vertices, faces)
+    corners, normals = vertices[faces], face_normals(vertices, faces)
     outwards = vertex_normals(vertices, faces)[faces]
     opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
     gradient = 0.5 * np.cross(normals[:, None], opposite)  # of the area, by each corner
@@ -110,24 +111,6 @@ def eases_step(seen: Sequence[Shown], gains: np.ndarray, parts: np.ndarray, spre
     return np.linalg.solve(matrix, right)
 
 
-def _compact(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices that faces (F, 3) use, and the faces in their numbers."""
-    used, faces_of_used = np.unique(faces, return_inverse=True)
-    return used, faces_of_used.reshape(-1, 3)
-
-
-def _areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Areas (F,) and unit normals (F, 3) of faces."""
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    normals = np.cross(b - a, c - a)
-    twice = np.linalg.norm(normals, axis=1)
-    return 0.5 * twice, normals / np.maximum(twice, 1e-30)[:, None]
-
-
-def _on_rim(faces: np.ndarray, count: int) -> np.ndarray:
+def _on_rim(faces: np.ndarray) -> np.ndarray:
     """Which faces touch an open edge (F,)."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    found, times = np.unique(edges, axis=0, return_counts=True)
-    rim = np.zeros(count, bool)
-    rim[found[times == 1]] = True
-    return np.asarray(rim[faces].any(axis=1))
+    return np.asarray(np.isin(faces, boundary_edges(faces)).any(axis=1))

@@ -75,8 +75,6 @@ def test_what_an_ease_widens():
 
 
 def test_a_scan_that_shows_nothing_near_is_refused():
-    placement = standing(60)
-    body, away = default_body().v_template, 3.0
-    far = Sheet(body + away, BODY.faces)
+    far = Sheet(BODY.v_template + 3.0, BODY.faces)
     with pytest.raises(CaphyError, match="does not hang where the scans show one"):
-        hung_eases(Tshirt(), FIGURE, [placement], [far], "upper", fabric_model(FABRIC), lambda *_: None)
+        hung_eases(Tshirt(), FIGURE, [standing(60)], [far], "upper", fabric_model(FABRIC), lambda *_: None)
