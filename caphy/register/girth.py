@@ -90,16 +90,19 @@ def area_gains(vertices: np.ndarray, faces: np.ndarray, slopes: np.ndarray) -> n
     return np.einsum("fjc,fjc,fjk->fk", gradient, outwards, slopes[faces])
 
 
-def eases_step(seen: Sequence[Shown], gains: np.ndarray, parts: np.ndarray, spread: np.ndarray) -> np.ndarray:
+def eases_step(
+    seen: Sequence[Shown], gains: np.ndarray, parts: np.ndarray, grown: np.ndarray, spread: np.ndarray
+) -> np.ndarray:
     """By how much eases (K,) must grow for each part of the cloth to have the area that scans show.
 
     Args:
         gains: growth of each face's area per unit of each ease (F, K).
         parts: number of the part (F,) that a face belongs to: a ring of cloth round one limb, for the nearest place of
             a fold may be any round that limb.
-        spread: standard deviation of what is known of each ease before (K,).
+        grown: by how much each has grown already (K,).
+        spread: standard deviation of what was known of each before (K,).
     """
-    matrix, right = np.diag(1 / spread**2), np.zeros(len(spread))
+    matrix, right = np.diag(1 / spread**2), -grown / spread**2
     for each in seen:
         covered = each.own > 0
         for part in np.unique(parts[covered]):

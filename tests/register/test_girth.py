@@ -99,13 +99,29 @@ def test_the_step_is_that_of_least_squares():
     gains, own, wanted = random.normal(0.01, 0.01, (200, 2)), random.uniform(1e-3, 2e-3, 200), np.array([0.02, -0.01])
     own[:50], parts = 0.0, np.arange(200) % 3  # a quarter is not seen
     scanned = np.where(own > 0, own + gains @ wanted, 0.0)
-    seen = Shown(own, scanned, 1.0)
-    np.testing.assert_allclose(eases_step([seen], gains, parts, np.full(2, 1e3)), wanted, rtol=1e-5)
-    assert np.abs(eases_step([seen], gains, parts, np.full(2, 1e-9))).max() < 1e-9
+    still = np.zeros(2)
+
+    def step(scanned: np.ndarray, grown: np.ndarray, spread: float) -> np.ndarray:
+        return eases_step([Shown(own, scanned, 1.0)], gains, parts, grown, np.full(2, spread))
+
+    np.testing.assert_allclose(step(scanned, still, 1e3), wanted, rtol=1e-5)
+    assert np.abs(step(scanned, still, 1e-9)).max() < 1e-9
     moved = scanned.copy()
     for part in range(3):  # which face of a part a fold lies over does not matter
         moved[parts == part] = random.permutation(scanned[parts == part])
-    np.testing.assert_allclose(eases_step([Shown(own, moved, 1.0)], gains, parts, np.full(2, 1e3)), wanted, rtol=1e-5)
+    np.testing.assert_allclose(step(moved, still, 1e3), wanted, rtol=1e-5)
+
+
+def test_steps_one_after_another_forget_nothing_of_what_was_known_before():
+    """Where areas follow the eases, the second step finds nothing left to do, whatever was believed."""
+    random = np.random.default_rng(1)
+    gains, own, wanted = random.normal(0.01, 0.01, (200, 2)), random.uniform(1e-3, 2e-3, 200), np.array([0.02, -0.01])
+    parts, spread = np.arange(200) % 3, np.array([0.01, 0.003])
+    first = eases_step([Shown(own, own + gains @ wanted, 1.0)], gains, parts, np.zeros(2), spread)
+    assert np.abs(first - wanted).max() > 1e-3  # the belief counts
+    wider = own + gains @ first
+    second = eases_step([Shown(wider, own + gains @ wanted, 1.0)], gains, parts, first, spread)
+    assert np.abs(second).max() < 0.02 * np.abs(first).max()  # what is left is in the weights, which go by the area
 
 
 def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
