@@ -95,9 +95,7 @@ def hung_eases(
         parts = garment.weights[garment.faces].sum(axis=1).argmax(axis=1)  # the joint that a face follows most
         now = np.array([getattr(style, name) for name in names])
         step = eases_step(seen, area_gains(garment.vertices, garment.faces, slopes), parts, now - start, spread)
-        changed = {
-            name: float(np.clip(value, 0.0, MOST[name])) for name, value in zip(names, now + step, strict=True)
-        }
+        changed = {name: float(np.clip(value, 0.0, MOST[name])) for name, value in zip(names, now + step, strict=True)}
         style = replace(style, **changed)
     return style
 
