@@ -62,7 +62,8 @@ def _box_square(x, y, z, low, high, node):
 def _closest_on_triangle(px, py, pz, vertices, i, j, k):
     """Squared distance and barycentric weights of the point of triangle (i, j, k) nearest to p.
 
-    Weights are exactly zero where the point lies on an edge or a corner: the pseudonormal depends on it.
+    Weights are exactly zero where the point lies on an edge or a corner: the pseudonormal depends on it. A triangle
+    without area is its edges.
     """
     ax, ay, az = vertices[i, 0], vertices[i, 1], vertices[i, 2]
     abx, aby, abz = vertices[j, 0] - ax, vertices[j, 1] - ay, vertices[j, 2] - az
@@ -78,20 +79,22 @@ def _closest_on_triangle(px, py, pz, vertices, i, j, k):
         u, v, w = 1.0, 0.0, 0.0
     elif d3 >= 0 and d4 <= d3:
         u, v, w = 0.0, 1.0, 0.0
-    elif vc <= 0 and d1 >= 0 and d3 <= 0:
+    elif vc <= 0 and d1 >= 0 and d3 <= 0 and d1 > d3:
         v, w = d1 / (d1 - d3), 0.0
         u = 1 - v
     elif d6 >= 0 and d5 <= d6:
         u, v, w = 0.0, 0.0, 1.0
-    elif vb <= 0 and d2 >= 0 and d6 <= 0:
+    elif vb <= 0 and d2 >= 0 and d6 <= 0 and d2 > d6:
         v, w = 0.0, d2 / (d2 - d6)
         u = 1 - w
-    elif va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+    elif va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0 and (d4 - d3) + (d5 - d6) > 0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         u, v = 0.0, 1 - w
-    else:
+    elif va + vb + vc > 0:
         v, w = vb / (va + vb + vc), vc / (va + vb + vc)
         u = max(1 - v - w, 0.0)
+    else:
+        u, v, w = 1.0, 0.0, 0.0
     rx, ry, rz = apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz
     return rx * rx + ry * ry + rz * rz, u, v, w
 

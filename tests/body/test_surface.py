@@ -165,3 +165,17 @@ def test_given_faces_are_differentiable():
     )
     (gradient,) = torch.autograd.grad(touching.distance.sum(), on_it)
     assert torch.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("corners", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 0), (2, 0, 1)])
+def test_faces_without_area_change_nothing(corners):
+    """A cube whose edges carry such faces: two corners in one, all in one, three in a line."""
+    ends = np.array([CUBE.vertices[CUBE.edges_unique[:, 0]], CUBE.vertices[CUBE.edges_unique[:, 1]]])
+    flat = np.concatenate([ends, ends.mean(axis=0, keepdims=True)])[list(corners)].transpose(1, 0, 2)
+    vertices = np.concatenate([flat.reshape(-1, 3), CUBE.vertices])
+    faces = np.concatenate([np.arange(3 * len(flat)).reshape(-1, 3), CUBE.faces + 3 * len(flat)])
+    points = np.random.default_rng(0).uniform(-2, 2, (2000, 3))
+    wanted = nearest_on_surface(points, CUBE.vertices, CUBE.faces)
+    found = nearest_on_surface(points, vertices, faces)
+    np.testing.assert_allclose(np.abs(found.distance), np.abs(wanted.distance), atol=1e-12)
+    np.testing.assert_allclose(found.point, wanted.point, atol=1e-12)
