@@ -35,17 +35,14 @@ def alike(found: Search, term: Term) -> list[Group]:
     normal, _ = last.evidence.normal
     label, change = _place(found, term, last.places)
     if label is None:
-        return []
+        return list(term.even)
     mine = last.places[label]
     wanted = normal[:, mine] @ change
     size = float(change @ normal[np.ix_(mine, mine)] @ change)
     fall = max(term.tried.values())
-    similar = []
+    similar = list(term.even)
     for group in last.groups:
-        if group.name == term.group.name:
-            continue
-        if group.label in term.even:
-            similar.append(group)
+        if group.name in (term.group.name, *(other.name for other in term.even)):
             continue
         place = last.places[group.label]
         if len(place) > len(mine) and _contains(normal, place, mine):

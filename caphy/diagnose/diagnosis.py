@@ -12,6 +12,7 @@ from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
 from caphy.diagnose.base import Base, base_of, checked_scene
 from caphy.diagnose.groups import columns_of
+from caphy.diagnose.laws import settle_laws
 from caphy.diagnose.outside import Outside, outside
 from caphy.diagnose.search import Search, Term, search, take_back
 from caphy.effects.model import Model
@@ -144,6 +145,7 @@ def diagnose(
     found = search(study, start, model, known)
     while (term := _doubtful(found, known, len(study.scenes))) is not None:
         take_back(study, found, term)
+    settle_laws(study, found)
     errors = None
     if held_out and found.fit is not None:
         columns, _ = columns_of(found.screens[0].groups)

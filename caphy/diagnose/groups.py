@@ -46,8 +46,9 @@ def own_groups(model: Model, original: Model) -> list[Group]:
 
 
 def library(model: Model, on_body: bool) -> list[Group]:
-    """The effects that could be added to a model."""
-    return [Group(name, addition(name)) for name in candidates(model, on_body)]
+    """The effects that could be added to a model; those that refine another are tried once that one is found."""
+    names = [name for name in candidates(model, on_body) if find_effect(name).refines is None]
+    return [Group(name, addition(name)) for name in names]
 
 
 def columns_of(groups: Sequence[Group]) -> tuple[tuple[Column, ...], dict[str, list[int]]]:

@@ -88,13 +88,13 @@ class Screen:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Accepted in a round: the group, the fit with it, the share of the misfit that each candidate took, and the labels
-    of those that came so near on roll-outs that nothing tells which it is."""
+    """Accepted in a round: the group, the fit with it, the share of the misfit that each candidate took, and those that
+    came so near on roll-outs that nothing tells which it is."""
 
     group: Group
     fit: Fit
     tried: dict[str, float]
-    even: tuple[str, ...] = ()
+    even: tuple[Group, ...] = ()
 
 
 @dataclass(eq=False)
@@ -221,7 +221,8 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
     if more < max(last.needed, _FURTHER if found.terms else 0.0):
         return None
     far = fits[label].misfit + _ROLLED * last.misfit
-    even = tuple(other for other, each in fits.items() if other != label and each.misfit <= far)
+    groups = {score.group.label: score.group for score in near}
+    even = tuple(groups[other] for other, each in fits.items() if other != label and each.misfit <= far)
     return Term(chosen.group, best, shares, even)
 
 

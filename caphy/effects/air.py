@@ -12,7 +12,8 @@ push f = c w, in which the energy is linear.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -21,6 +22,9 @@ from torch import Tensor
 from caphy.effects.base import Effect, Elements, Values
 from caphy.effects.cloth import Cloth
 from caphy.effects.vectors import cross, dot, norm
+
+FASTEST = 5.0
+"""Wind speed at which a search for it begins at most [m/s]."""
 
 
 class Air(Effect):
@@ -97,6 +101,17 @@ class Air(Effect):
     def _projected(self, field: Tensor, normal: Tensor) -> Tensor:
         across = dot(field, normal) * normal
         return across if self.across else field - across
+
+
+def squared(found: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The quadratic law that pushes resting cloth as a linear wind with ``coefficient`` and ``push`` does.
+
+    Where the push f comes with hardly any drag the linear law knows no velocity; then it is :data:`FASTEST`.
+    """
+    push = np.asarray(found["push"], dtype=float)
+    size = max(float(np.linalg.norm(push)), 1e-12)
+    speed = min(size / max(float(found["coefficient"]), 1e-12), FASTEST)
+    return {"coefficient": size / speed**2, "velocity": push / size * speed}
 
 
 def lagged_normal(e: Elements) -> Tensor:

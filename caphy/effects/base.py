@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -163,6 +163,8 @@ class Effect:
         needs_step: acts only in motion (inertia, damping, friction); skipped in statics.
         reads_step: acts in statics too, but reads the step where there is one (mass: inertia and weight).
         needs_body: reads :class:`BodyState`; skipped where there is no body.
+        refines: another effect of which this one is another law, where it is not linear in all that must be told of it
+            and cannot be found from nothing: that one is found and fitted, and :meth:`start` goes on from there.
         borrows: other effects whose parameters it reads too, as ``p["body_contact.stiffness"]``; the model must have
             them. Of a tuple of alternatives the model must have at least one, and those it has are lent.
     """
@@ -178,12 +180,17 @@ class Effect:
     needs_step: ClassVar[bool] = False
     reads_step: ClassVar[bool] = False
     needs_body: ClassVar[bool] = False
+    refines: ClassVar[str | None] = None
     borrows: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)
         if "parameters" in vars(cls) and "coefficients" not in vars(cls):
             cls.coefficients = tuple(key for key, parameter in cls.parameters.items() if parameter.linear)
+
+    def start(self, found: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """Own parameters that push the cloth about as those ``found`` of the effect that this one :attr:`refines`."""
+        raise NotImplementedError(f"{type(self).__name__} must define start(found), since it refines {self.refines}")
 
     def lenders(self, present: Iterable[str]) -> tuple[str, ...] | None:
         """Those of ``present`` effects whose parameters this one reads; None if it lacks one that it needs."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 from torch import Tensor
 
-from caphy.effects.air import Air
+from caphy.effects.air import Air, squared
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.vectors import uniform
 
@@ -18,12 +22,16 @@ class WindNormalQuadratic(Air):
 
     name = "wind_normal_quadratic"
     group = "wind"
+    refines = "wind_normal"
     power = 2
     parameters = {
         "coefficient": Parameter(0.6, "kg/m^3", 0.0, 1e3, doc="pressure per squared speed, 1/2 rho C_d"),
         "velocity": Parameter((1.0, 0.0, 1.0), "m/s", -100.0, 100.0, linear=False, doc="velocity of the air"),
     }
     reference = "Hoerner, Fluid-dynamic drag, 1965, chapter 3 (drag of plates)"
+
+    def start(self, found: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        return squared(found)
 
     def wind(self, e: Elements, p: Values) -> Tensor:
         return uniform(p["velocity"], e.x[0])

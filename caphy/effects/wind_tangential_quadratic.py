@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 from torch import Tensor
 
-from caphy.effects.air import Air
+from caphy.effects.air import Air, squared
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.vectors import uniform
 
@@ -18,6 +22,7 @@ class WindTangentialQuadratic(Air):
 
     name = "wind_tangential_quadratic"
     group = "wind"
+    refines = "wind_tangential"
     across = False
     power = 2
     parameters = {
@@ -25,6 +30,9 @@ class WindTangentialQuadratic(Air):
         "velocity": Parameter((1.0, 0.0, 1.0), "m/s", -100.0, 100.0, linear=False, doc="velocity of the air"),
     }
     reference = "Schlichting, Boundary-layer theory, 1979, chapter 21 (rough plates)"
+
+    def start(self, found: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        return squared(found)
 
     def wind(self, e: Elements, p: Values) -> Tensor:
         return uniform(p["velocity"], e.x[0])

@@ -62,9 +62,10 @@ class Column:
 
 
 def addition(name: str) -> tuple[Column, ...]:
-    """The coefficients of an effect that can be added."""
+    """The coefficients of an effect that can be added; everything that must be told of one that refines another."""
     effect = find_effect(name)
-    return tuple(Column(name, key, entry) for key in effect.coefficients for entry in _entries(effect.parameters[key]))
+    told = effect.parameters if effect.refines else effect.coefficients
+    return tuple(Column(name, key, entry) for key in told for entry in _entries(effect.parameters[key]))
 
 
 def tunable(name: str, model: Model) -> tuple[Column, ...]:

@@ -58,5 +58,8 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     for column, change, less, more in zip(fit.columns, fit.change, below, above, strict=True):
         relative = column.entry is None
         value, scale = (change, 1 + change) if relative else (column.value(fit.model), 1.0)
-        found[column.name] = (float(value), float(value - scale * less), float(value + scale * more), column.unit)
+        low, high = value - scale * less, value + scale * more
+        if not relative:  # a drag is known to be none that drives
+            low, high = max(low, column.declared.lower), min(high, column.declared.upper)
+        found[column.name] = (float(value), float(low), float(high), column.unit)
     return found

@@ -20,6 +20,7 @@ from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors, judged
 from caphy.refit.intervals import intervals
+from caphy.refit.laws import in_another_law
 from caphy.refit.learned import Learned
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked
 
@@ -114,7 +115,20 @@ def _checked(model: Model, add: Sequence[str]) -> tuple[str, ...]:
             raise CaphyError(f"{name} has no coefficient that could be zero, so it cannot be added and fitted")
         if effect.lenders(model.effects) is None:
             raise CaphyError(f"{name} reads the parameters of an effect that the model lacks; see caphy effects show")
-    return tuple(dict.fromkeys(add))
+        if effect.refines in (*model.effects, *add):
+            raise CaphyError(
+                f"{name} is another law of {effect.refines}, which is there or to be added; keep one of them"
+            )
+    names = tuple(dict.fromkeys(add))
+    twice = [name for name in names if sum(_found_as(other) == _found_as(name) for other in names) > 1]
+    if twice:
+        raise CaphyError(f"{' and '.join(twice)} are laws of the same effect; add one of them")
+    return names
+
+
+def _found_as(name: str) -> str:
+    """The effect with which the search for another begins."""
+    return find_effect(name).refines or name
 
 
 def _columns(model: Model, names: Sequence[str]) -> tuple[Column, ...]:
@@ -126,7 +140,9 @@ def _columns(model: Model, names: Sequence[str]) -> tuple[Column, ...]:
 def _fitted(
     study: Study, model: Model, names: tuple[str, ...], learned: Learned | None
 ) -> tuple[Fit, _First, tuple[str, ...]]:
-    """The joint fit, then without each effect that is not needed (backward elimination)."""
+    """The joint fit, then without each effect that is not needed (backward elimination), then in the laws wanted."""
+    wanted = {_found_as(name): name for name in names}
+    names = tuple(wanted)
     columns = _columns(model, names)
     if learned is None:
         responses = study.respond(model, columns, "before")
@@ -149,7 +165,10 @@ def _fitted(
         kept = [columns.index(column) for column in trials[name].columns]
         best = replace(trials[name], origin=model, first=evidence(picked(responses, kept), variance, weight))
         removed.append(name)
-    return best, first, tuple(removed)
+    for name, law in wanted.items():
+        if law != name and name not in removed:
+            best = in_another_law(study, best, law, variance, weight)
+    return best, first, tuple(wanted[name] for name in removed)
 
 
 def _without(

@@ -236,6 +236,7 @@ def fit(
     weight: np.ndarray,
     what: str = "fitting",
     rounds: int = ROUNDS,
+    most: np.ndarray | None = None,
 ) -> Fit:
     """Change numbers of a model so that its roll-outs meet the windows.
 
@@ -246,9 +247,10 @@ def fit(
         responses: of the model as given, in these columns.
         variance: of each mode at each lag (L, M) [m^2].
         weight: of each window (W,).
+        most: what each may count at most (W,); :data:`SNAPPED` times what it does at the start unless given.
     """
     columns = tuple(columns)
-    start = _judged(model, model, columns, list(responses), variance, weight)
+    start = _judged(model, model, columns, list(responses), variance, weight, most)
     return refined(study, start, variance, weight, what, rounds)
 
 

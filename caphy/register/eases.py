@@ -40,9 +40,8 @@ ON_THE_WAY = 0.5
 """Time from the T-pose into a scan's pose [s]."""
 EDGE_LENGTHS = (0.036, 0.033, 0.030)
 """Of the mesh that is hung [m]: eases are no matter of small folds. The first that leaves no face without area."""
-SPREAD = {"ease": 0.02, "sleeve_ease": 0.02, "leg_ease": 0.02, "flare": 0.05, "taper": 0.03}
-"""How far eases may be off [m, or metres per metre]: standard deviation of what is known of each before. An ease and a
-slope make up for each other over most of a garment, so that it matters."""
+SPREAD = {"ease": 0.02, "sleeve_ease": 0.02, "leg_ease": 0.02, "flare": 0.1, "taper": 0.06}
+"""How far eases may be off [m, or metres per metre]: standard deviation of what is known of each before."""
 MOST = {"ease": 0.1, "sleeve_ease": 0.06, "leg_ease": 0.1, "flare": 0.5, "taper": 0.3}
 """Greatest value of each."""
 ENOUGH = 0.3
@@ -79,6 +78,7 @@ def hung_eases(
         CaphyError: the garment cannot be meshed, or does not hang where the scans show one.
     """
     body, names = dressed_body(figure), [name for name in SPREAD if hasattr(style, name)]
+    most = np.array([MOST[name] for name in names])
     spread, start = np.array([SPREAD[name] for name in names]), np.array([getattr(style, name) for name in names])
     for number in range(ROUNDS):
         (garment, cloth), seen = _coarse(style, body, model), []
@@ -94,9 +94,9 @@ def hung_eases(
         slopes = widening(style, names, body, garment.vertices)
         parts = garment.weights[garment.faces].sum(axis=1).argmax(axis=1)  # the joint that a face follows most
         now = np.array([getattr(style, name) for name in names])
-        step = eases_step(seen, area_gains(garment.vertices, garment.faces, slopes), parts, now - start, spread)
-        changed = {name: float(np.clip(value, 0.0, MOST[name])) for name, value in zip(names, now + step, strict=True)}
-        style = replace(style, **changed)
+        gains = area_gains(garment.vertices, garment.faces, slopes)
+        step = eases_step(seen, gains, parts, now - start, spread, (-now, most - now))
+        style = replace(style, **{name: float(value) for name, value in zip(names, now + step, strict=True)})
     return style
 
 

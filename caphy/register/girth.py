@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from scipy.optimize import lsq_linear
 
 from caphy.body.surface import nearest_on_surface
 from caphy.garment.meshing import drop_unused
@@ -91,7 +92,12 @@ def area_gains(vertices: np.ndarray, faces: np.ndarray, slopes: np.ndarray) -> n
 
 
 def eases_step(
-    seen: Sequence[Shown], gains: np.ndarray, parts: np.ndarray, grown: np.ndarray, spread: np.ndarray
+    seen: Sequence[Shown],
+    gains: np.ndarray,
+    parts: np.ndarray,
+    grown: np.ndarray,
+    spread: np.ndarray,
+    limits: tuple[np.ndarray, np.ndarray] = (np.array(-np.inf), np.array(np.inf)),
 ) -> np.ndarray:
     """By how much eases (K,) must grow for each part of the cloth to have the area that scans show.
 
@@ -101,6 +107,7 @@ def eases_step(
             a fold may be any round that limb.
         grown: by how much each has grown already (K,).
         spread: standard deviation of what was known of each before (K,).
+        limits: how far each may shrink and grow now (K,): where one ends at its limit the others do without it.
     """
     matrix, right = np.diag(1 / spread**2), -grown / spread**2
     for each in seen:
@@ -111,7 +118,8 @@ def eases_step(
             weight = 1 / (ROUGH**2 * PATCH * own + RIM**2)
             matrix += weight * np.outer(slope, slope)
             right += weight * (each.scanned[ring].sum() - own) * slope
-    return np.linalg.solve(matrix, right)
+    root = np.linalg.cholesky(matrix)
+    return lsq_linear(root.T, np.linalg.solve(root, right), limits, method="bvls").x
 
 
 def _on_rim(faces: np.ndarray) -> np.ndarray:

@@ -9,9 +9,11 @@ import pytest
 import torch
 from situations import DENSITY, gradient, lying, moving, rolled_out
 
+from caphy.effects.air import FASTEST
 from caphy.effects.base import Step
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
+from caphy.effects.registry import find_effect
 from caphy.effects.trial import flat_cloth, irregular_cloth, moment
 from caphy.solve.integrators import State
 
@@ -109,3 +111,27 @@ def test_pressure_is_p_a_n() -> None:
             wanted[corner] += 2.5 / 3 * 0.5 * np.cross(b - a, c - a)
     force = -gradient(cloth, at.x, at.step, pressure={"pressure": 2.5})
     np.testing.assert_allclose(force, wanted, atol=1e-16)
+
+
+@pytest.mark.parametrize("side", ["normal", "tangential"])
+def test_a_quadratic_wind_starts_with_the_push_of_a_linear_one(side: str) -> None:
+    """On resting cloth that faces it, or lies along it, both push alike; cloth that flies with it is left alone."""
+    cloth, push = lying(), np.array([0.0, 0.6, 0.0] if side == "normal" else [0.6, 0.0, 0.0])
+    linear, law = f"wind_{side}", f"wind_{side}_quadratic"
+    values = find_effect(law).start({"coefficient": np.array(0.3), "push": push})
+    np.testing.assert_allclose(values["velocity"], push / 0.3)
+    x = torch.as_tensor(cloth.vertices)
+    step = moving(x, torch.zeros(3))
+    wanted = gradient(cloth, x, step, **{linear: {"coefficient": 0.3, "push": push}})
+    assert wanted.abs().max() > 1e-5
+    torch.testing.assert_close(gradient(cloth, x, step, **{law: values}), wanted)
+    with_the_wind = moving(x, torch.as_tensor(values["velocity"]))
+    assert gradient(cloth, x, with_the_wind, **{law: values}).abs().max() < 1e-9
+
+
+def test_a_push_without_drag_is_a_fast_wind() -> None:
+    values = find_effect("wind_normal_quadratic").start(
+        {"coefficient": np.array(0.0), "push": np.array([0.0, 0.0, 1.0])}
+    )
+    np.testing.assert_allclose(values["velocity"], [0.0, 0.0, FASTEST])
+    assert values["coefficient"] == pytest.approx(1.0 / FASTEST**2)

@@ -80,3 +80,12 @@ def test_a_fit_that_ended_early_says_how_far_it_still_was():
     assert (value, unit) == (2.0, "1/s")
     wanted = np.hypot(half_widths(known, 0.0)[0], 1.959964 * left)[0]
     np.testing.assert_allclose([value - low, high - value], [half_widths(known, 0.0)[0][0], wanted], rtol=1e-5)
+
+
+def test_an_interval_ends_where_the_parameter_does():
+    """A rate of damping near zero is not negative."""
+    known, fitted = windows(np.array([0.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=1e-3)
+    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
+    _, low, high, _ = intervals(fit, None, 3)["mass_damping.rate"]
+    assert half_widths(known, 0.0)[0][0] > 1e-3
+    assert low == 0.0 and high > 1e-3

@@ -124,6 +124,16 @@ def test_steps_one_after_another_forget_nothing_of_what_was_known_before():
     assert np.abs(second).max() < 0.02 * np.abs(first).max()  # what is left is in the weights, which go by the area
 
 
+def test_what_one_ease_may_not_do_the_others_do():
+    """Two that widen one ring alike, the second barely: at its limit the first does the rest."""
+    gains, own, parts = np.tile([1e-2, 1.2e-2], (50, 1)), np.full(50, 2e-3), np.zeros(50, int)
+    seen, still, spread = [Shown(own, own + gains @ [0.02, 0.0], 1.0)], np.zeros(2), np.full(2, 1e3)
+    free = eases_step(seen, gains, parts, still, spread)
+    assert free[1] > 0.005
+    held = eases_step(seen, gains, parts, still, spread, (np.full(2, -1.0), np.array([1.0, 0.001])))
+    np.testing.assert_allclose(held, [0.02 - 1.2 * 0.001, 0.001], rtol=1e-4)
+
+
 def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     a, b, c = vertices[faces].transpose(1, 0, 2)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)

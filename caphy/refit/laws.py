@@ -1,0 +1,43 @@
+"""Another law of an effect that was found: it is not linear, cannot be found from nothing, and starts from that one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from caphy.effects.registry import find_effect, registered_effects
+from caphy.refit.columns import addition
+from caphy.refit.evidence import evidence
+from caphy.refit.study import Fit, Study, fit
+
+
+def law_of(name: str) -> str | None:
+    """The effect that refines another, if there is one."""
+    return next((law for law, effect in registered_effects().items() if effect.refines == name), None)
+
+
+def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weight: np.ndarray) -> Fit:
+    """A fit with the effect ``law`` in the place of the one that it refines, all numbers fitted on.
+
+    Its origin has the effect without strength but otherwise as fitted, so that tangents can tell the way from there.
+    """
+    effect = find_effect(law)
+    assert effect.refines is not None
+    columns = (*(column for column in best.columns if column.effect != effect.refines), *addition(law))
+    values = effect.start(best.model.effects[effect.refines])
+    start = best.model.without_effect(effect.refines).with_effect(law, **values)
+    what = f"trying {law}"
+    found = fit(study, start, columns, study.respond(start, columns, what), variance, weight, what, most=best.most)
+    fitted = found.model.effects[law]
+    nothing = {key: np.zeros_like(fitted[key]) for key in effect.coefficients}
+    idle = best.origin.with_effect(law, **{**fitted, **nothing})
+    first = evidence(study.respond(idle, columns, what), variance, best.first.weight)
+    return replace(found, origin=idle, first=first)
+
+
+def gained(before: Fit, after: Fit) -> tuple[float, float]:
+    """By how much the misfit falls from one fit to another of the same windows, and the standard error of that."""
+    here, there = (each.evidence.misfit(np.zeros(len(each.columns))) for each in (before, after))
+    fall = here - there
+    return float(fall.sum()), float(np.sqrt(len(fall)) * fall.std(ddof=1))

@@ -1,0 +1,75 @@
+"""Which law a wind follows, told on cloth that an independent explicit integrator moved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from explicit_cloth import measured, simulate, square
+
+from caphy.diagnose.diagnosis import diagnose
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.io.measurements import Measurement
+from caphy.refit.refit import refit
+
+DENSITY = 0.2
+MODEL = Model(DENSITY, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+WIND, COEFFICIENT = np.array([1.2, 0.0, -0.8]), 0.5
+LAWS = {1: "wind_normal", 2: "wind_normal_quadratic"}
+
+
+def blown(power: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The acceleration (V, 3) [m/s^2] by drag against a wind across the cloth, with a power of the speed."""
+    rest, faces, _ = square()
+    a, b, c = rest[faces].transpose(1, 0, 2)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    mass = np.bincount(faces.ravel(), np.repeat(area * DENSITY / 3, 3), len(rest))
+
+    def push(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        a, b, c = x[faces].transpose(1, 0, 2)
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        speed = ((v[faces].mean(axis=1) - WIND) * normal).sum(axis=1, keepdims=True)
+        force = np.zeros_like(x)
+        for corner in faces.T:
+            np.add.at(force, corner, -COEFFICIENT * area[:, None] / 3 * np.abs(speed) ** (power - 1) * speed * normal)
+        return force / mass[:, None]
+
+    return push
+
+
+@pytest.fixture(scope="module")
+def films() -> dict[int, list[Measurement]]:
+    return {
+        power: [measured(*simulate(tempo=tempo, settle=2.0, push=blown(power)), seed=power) for tempo in (1.15, 1.3)]
+        for power in LAWS
+    }
+
+
+@pytest.mark.parametrize("power", LAWS)
+def test_a_wind_is_named_by_its_law(films, power):
+    found = diagnose(MODEL, films[power])
+    assert found.found == (LAWS[power],)
+    coefficient = found.coefficients[f"{LAWS[power]}.coefficient"]
+    assert abs(coefficient.value / COEFFICIENT - 1) < 0.15
+    assert coefficient.low < COEFFICIENT < coefficient.high
+
+
+def test_a_law_that_is_not_linear_is_fitted_from_the_linear_one(films):
+    found = refit(MODEL, films[2], ("wind_normal_quadratic",))
+    assert found.kept == ("wind_normal_quadratic",)
+    assert "wind_normal" not in found.model.effects
+    values = found.model.effects["wind_normal_quadratic"]
+    np.testing.assert_allclose(np.asarray(values["velocity"])[[0, 2]], WIND[[0, 2]], atol=0.15)
+    names = ["coefficient", *(f"velocity[{i}]" for i in range(3))]
+    told = np.array([found.coefficients[f"wind_normal_quadratic.{name}"][1:3] for name in names])
+    assert (told[:, 0] < [COEFFICIENT, *WIND]).all() and (told[:, 1] > [COEFFICIENT, *WIND]).all()
+
+
+def test_two_laws_of_one_effect_are_refused(films):
+    with pytest.raises(CaphyError, match="another law of wind_normal"):
+        refit(MODEL, films[2][:1], ("wind_normal", "wind_normal_quadratic"))
+    with pytest.raises(CaphyError, match="another law of wind_normal"):
+        refit(MODEL.with_effect("wind_normal"), films[2][:1], ("wind_normal_quadratic",))
