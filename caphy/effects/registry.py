@@ -68,6 +68,10 @@ def _check(effect: type[Effect], path: Path) -> None:
         raise CaphyError(f"{where}: reference must say where the effect comes from")
     if effect.energy is Effect.energy:
         raise CaphyError(f"{where}: must define energy(self, e, p)")
+    if effect.refines is not None and effect.refines not in _installed() | _from_files:
+        raise CaphyError(f"{where}: refines must name an effect that there is, got {effect.refines!r}")
+    if effect.refines is not None and effect.start is Effect.start:
+        raise CaphyError(f"{where}: must define start(self, found), since it refines {effect.refines}")
 
 
 def register_file(path: Path) -> list[str]:
