@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
+import sys
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -96,12 +96,13 @@ def main(arguments: list[str]) -> int | None:
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         dist.init_process_group("nccl" if options.device == "cuda" else "gloo")
-    try:
-        return _run(options)
-    finally:
-        gc.collect()  # the trainer holds the group, whose threads must end before the interpreter does, or it aborts
-        if dist.is_initialized():
-            dist.destroy_process_group()
+    status = _run(options)
+    if dist.is_initialized():
+        # All is written. Gloo's threads may abort a process whose interpreter or group is taken down in order.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
 
 
 def _run(options: Train) -> int:
