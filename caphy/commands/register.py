@@ -248,6 +248,8 @@ def _hung(
     """The chosen style with eases that hang as the plainest scans show, or its own, and what it makes."""
     from dataclasses import replace
 
+    import numpy as np
+
     from caphy.effects.cloth import Cloth
     from caphy.register.eases import hung_eases
     from caphy.register.girth import Sheet
@@ -257,7 +259,8 @@ def _hung(
     try:
         style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress)
         garment = made(replace(choice, style=style), figure)
-        Cloth.of(garment, model.density)  # refuses faces without area, which tight cuts may have
+        stored = garment.material.astype(np.float32).astype(float)  # as files hold it
+        Cloth.of(replace(garment, material=stored), model.density)  # refuses faces without area, as tight cuts may have
     except CaphyError as error:
         print(f"the {kind} garment's eases are told by distances alone: {error}")
         return choice.style, made(choice, figure)
