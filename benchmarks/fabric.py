@@ -23,7 +23,7 @@ from caphy.effects.presets import fabric_model
 from caphy.fabric.certainty import Certainty
 from caphy.fabric.coefficients import Coefficients
 from caphy.fabric.rounds import Fitted, Objective, fit_fabric, ratios
-from caphy.fabric.subdivision import Subdivision
+from caphy.garment.subdivision import Subdivision
 from caphy.material.fabrics import fabric
 
 

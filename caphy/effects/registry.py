@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import inspect
 import pkgutil
+from collections.abc import Set
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -55,8 +56,11 @@ def find_effect(name: str) -> Effect:
     return effects[name]()
 
 
-def _check(effect: type[Effect], path: Path) -> None:
-    """Raises :class:`CaphyError` unless a user's effect has a name of its own and what every effect must have."""
+def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
+    """Raises :class:`CaphyError` unless a user's effect has a name of its own and what every effect must have.
+
+    ``beside`` are the names of all effects in the same file.
+    """
     where = f"{path}: {effect.__name__}"
     if effect.name in _installed():
         raise CaphyError(f"{where}: there already is an effect {effect.name!r}; give yours another name")
@@ -68,7 +72,7 @@ def _check(effect: type[Effect], path: Path) -> None:
         raise CaphyError(f"{where}: reference must say where the effect comes from")
     if effect.energy is Effect.energy:
         raise CaphyError(f"{where}: must define energy(self, e, p)")
-    if effect.refines is not None and effect.refines not in _installed() | _from_files:
+    if effect.refines is not None and effect.refines not in {*_installed(), *_from_files, *beside} - {effect.name}:
         raise CaphyError(f"{where}: refines must name an effect that there is, got {effect.refines!r}")
     if effect.refines is not None and effect.start is Effect.start:
         raise CaphyError(f"{where}: must define start(self, found), since it refines {effect.refines}")
@@ -88,6 +92,6 @@ def register_file(path: Path) -> list[str]:
     if not effects:
         raise CaphyError(f"{path}: defines no subclass of caphy.effects.base.Effect with a name")
     for effect in effects:
-        _check(effect, path)
+        _check(effect, path, {each.name for each in effects})
     _from_files.update({effect.name: effect for effect in effects})
     return [effect.name for effect in effects]

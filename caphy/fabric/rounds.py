@@ -16,7 +16,7 @@ from caphy.fabric.coefficients import Coefficients
 from caphy.fabric.evidence import Said, by_force, by_response, of_the_mesh
 from caphy.fabric.states import Layer, Lying
 from caphy.fabric.stills import Worn
-from caphy.fabric.subdivision import Subdivision
+from caphy.garment.subdivision import Subdivision
 
 Objective = Literal["response", "force"]
 """Which least squares: the change of the equilibrium (the default), or CaPhy's squared gradient."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
+from caphy.measure.finer import FinerMesh
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, roll_out, window_starts
@@ -47,7 +48,7 @@ class Response:
         seen: which frames were measured, (L,).
         columns: what one unit of each number changes (L, M, 3, K) [m].
         nuisance: what one standard deviation of each error that is not the model's changes (L, M, 3, N) [m]: of the
-            time step, and of the start.
+            time step, of the mesh, and of the start.
         error: distance of each vertex from its measured place (L, V) [m]; NaN where not seen.
         converged: whether the solver did, (L,).
     """
@@ -70,9 +71,9 @@ class Watched:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: must be registered; register the point clouds first")
         self.scene, self.number, self.length = scene, number, length
-        # What the time step and errors of the start do to each window: a fit changes that little, so that it is told
+        # What time step, mesh and errors of the start do to each window: a fit changes that little, so that it is told
         # once, and what the start does anew whenever the whole library is looked at.
-        self._steps: dict[int, np.ndarray] = {}
+        self._solver: dict[int, np.ndarray] = {}
         self._starts: dict[int, np.ndarray] = {}
 
     @cached_property
@@ -104,7 +105,7 @@ class Watched:
         tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = Simulator(newton, self.scene.motion, pins=self.scene.pins)  # type: ignore[arg-type]
-        abrupt = self._abrupt(model, columns)
+        finer, abrupt = self._finer.simulator(model), self._abrupt(model, columns)
         for frame in starts:
             recorder.stages.clear()
             sharp = self._sharpened(states.state(frame), frame)
@@ -118,9 +119,11 @@ class Watched:
             for place, (amount, other) in abrupt.items():
                 with_it = roll_out(self.scene, other, state, frame, length=self.length)
                 changes[:, place] = (with_it.positions - run.positions) / amount
-            if frame not in self._steps:
+            if frame not in self._solver:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
-                self._steps[frame] = (run.positions - rough.positions)[1:]
+                fine = self._finer.rolled_out(finer, state, frame, self.length)
+                errors_of = run.positions - rough.positions, fine - run.positions
+                self._solver[frame] = np.stack(errors_of, axis=1)[1:]
             yield self._response(frame, run, changes[1:], 0 if errors is None else len(errors.x))
 
     def _abrupt(self, model: Model, columns: Sequence[Column]) -> dict[int, tuple[float, Simulator]]:
@@ -134,6 +137,11 @@ class Watched:
                 newton = Newton(potential, self.scene.fixed, TOLERANCE)
                 found[place] = amount, Simulator(newton, self.scene.motion, SDIRK2(), self.scene.pins)  # type: ignore
         return found
+
+    @cached_property
+    def _finer(self) -> FinerMesh:
+        """The scene on a finer mesh."""
+        return FinerMesh(self.scene)
 
     @cached_property
     def _tracks(self) -> np.ndarray:
@@ -190,7 +198,7 @@ class Watched:
         frames = run.frames[1:]
         away = measurement.vertices[frames] - run.positions[1:]
         seen = measurement.observed[frames]
-        fields = np.concatenate([away[:, None], self._steps[frame][:, None], moved], axis=1)  # (L, 2 + K + N, V, 3)
+        fields = np.concatenate([away[:, None], self._solver[frame], moved], axis=1)  # (L, 3 + K + N, V, 3)
         shape = (self.projection.modes.shape[1], 3, fields.shape[1])
         enough = seen.mean(axis=1) >= ENOUGH
         modal = np.stack(
@@ -203,9 +211,9 @@ class Watched:
         last = modal.shape[-1] - starts
         if starts:
             self._starts[frame] = modal[..., last:]
-        nuisance = np.concatenate([modal[..., 1:2], self._starts[frame]], axis=-1)
+        nuisance = np.concatenate([modal[..., 1:3], self._starts[frame]], axis=-1)
         return Response(
-            self.number, frame, modal[..., 0], enough, modal[..., 2:last], nuisance, error, run.converged[1:]
+            self.number, frame, modal[..., 0], enough, modal[..., 3:last], nuisance, error, run.converged[1:]
         )
 
 

@@ -98,6 +98,18 @@ def test_an_incomplete_effect_is_refused(tmp_path: Path, old: str, new: str, mes
         register_file(path)
 
 
+def test_an_effect_may_refine_another_of_the_same_file_but_not_itself(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(registry, "_from_files", {})
+    law = WIND.replace("my_wind", "my_law").replace("class MyWind", "class MyLaw")
+    law += '    refines = "NAME"\n\n    def start(self, found):\n        return dict(found)\n'
+    path = tmp_path / "effect.py"
+    path.write_text(law.replace("NAME", "my_wind") + WIND)
+    assert register_file(path) == ["my_law", "my_wind"]
+    path.write_text(law.replace("NAME", "my_law"))
+    with pytest.raises(CaphyError, match="refines must name an effect that there is, got 'my_law'"):
+        register_file(path)
+
+
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaphyError, match=r"existing \.py file"):
         register_file(tmp_path / "none.py")

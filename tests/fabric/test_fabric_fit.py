@@ -21,7 +21,7 @@ from caphy.fabric.record import NOT_DETERMINED, record, settled_model
 from caphy.fabric.rounds import Fitted, Round, _Scans, fit_fabric, ratios
 from caphy.fabric.states import WEAK, Layer
 from caphy.fabric.stills import Worn
-from caphy.fabric.subdivision import Subdivision
+from caphy.garment.subdivision import Subdivision
 
 SIDE = 7
 PLANTED = fabric_model("white-swim-solid")

@@ -77,14 +77,14 @@ def test_the_response_to_dry_friction_is_that_of_a_roll_out_with_it():
     np.testing.assert_allclose(-(there.residual - here.residual) / 0.3, told, atol=1e-9)
 
 
-@pytest.mark.parametrize("number", [1, 5, 30, 61, 62, 100])
+@pytest.mark.parametrize("number", [2, 6, 31, 62, 63, 101])
 def test_nuisances_are_derivatives_by_the_start(watched, number, monkeypatch):
     here = responded(watched, DAMPED)
     sharpened, errors = watched._sharpened, watched._start(watched._blur)
 
     def nudged(state, frame):
         state = sharpened(state, frame)
-        x, v = (0.01 * field[number - 1] * watched._free for field in (errors.x, errors.v))
+        x, v = (0.01 * field[number - 2] * watched._free for field in (errors.x, errors.v))
         return replace(state, x=state.x + x, v=state.v + v)
 
     monkeypatch.setattr(watched, "_sharpened", nudged)

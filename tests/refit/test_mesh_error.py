@@ -1,0 +1,59 @@
+"""What a coarse mesh gets wrong, told by a finer one, on cloth that an independent explicit integrator moved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from explicit_cloth import measured, simulate, square
+
+from caphy.effects.model import Model
+from caphy.measure.scene import Scene
+from caphy.refit.evidence import evidence
+from caphy.refit.responses import Response
+from caphy.refit.study import Study
+
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+MESH = 1
+"""Place of the mesh's error among what is not the model's."""
+
+
+def responses(fine: bool) -> list[Response]:
+    """Windows of cloth on a mesh of twice as many edges, or on the very mesh of the model, seen at its vertices."""
+    positions, keys = simulate(count=17 if fine else 9, steps=240 if fine else 120, settle=2.0, tempo=1.2)
+    if fine:
+        rest, faces, flat = square(9)
+        grid = np.arange(17 * 17).reshape(17, 17)[::2, ::2].ravel()
+        seen = np.flatnonzero(np.isin(grid, keys["pinned"]))
+        keys |= {"faces": faces, "rest_vertices": rest, "material": flat[faces], "pinned": seen}
+        positions = positions[:, grid]
+    return Study([Scene.of(measured(positions, keys, noise_mm=0.3))]).respond(MODEL, ())
+
+
+@pytest.fixture(scope="module")
+def told() -> dict[bool, tuple[np.ndarray, float]]:
+    """How much of the mesh's error each window asks for, and the share of the misfit that one amount takes away."""
+    found = {}
+    for fine in (True, False):
+        windows = [
+            replace(each, columns=each.nuisance[..., [MESH]], nuisance=np.delete(each.nuisance, MESH, axis=-1))
+            for each in responses(fine)
+        ]
+        known = evidence(windows, np.full(windows[0].residual.shape[:2], 1e-6))
+        normal, right = known.normal
+        gain = float(right @ np.linalg.solve(normal, right) / known.c.sum())
+        found[fine] = (known.b[:, 0] / known.a[:, 0, 0], gain)
+    return found
+
+
+def test_a_finer_mesh_tells_what_the_coarse_one_gets_wrong(told):
+    amounts, gain = told[True]
+    assert gain > 0.4
+    assert (np.abs(amounts - 1) < 0.25).all()
+
+
+def test_where_the_mesh_is_the_cloths_own_nothing_is_the_meshs_error(told):
+    amounts, gain = told[False]
+    assert gain < 0.01
+    assert (np.abs(amounts) < 0.1).all()
