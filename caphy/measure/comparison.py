@@ -114,20 +114,22 @@ def _median_interval(distance: np.ndarray, window: np.ndarray) -> tuple[float, f
 
 
 def _floor(prediction: Prediction, measurement: Measurement, errors: VertexErrors) -> dict:
-    """What noise, the solver's time step and the restarts explain of the median, and what they leave, in quadrature."""
+    """What noise, time step, mesh and restarts explain of the median, and what they leave, in quadrature."""
     noise = measurement_noise(measurement)
     step = None if prediction.step_error is None else summary(prediction.step_error)["median_mm"]
+    mesh = None if prediction.mesh_error is None else summary(prediction.mesh_error)["median_mm"]
     start = None if prediction.start_error is None else summary(prediction.start_error)["median_mm"]
     # Of a distance to a surface only the noise across it counts; its median is 0.67 sigma.
     expected = None if noise is None else MILLI * (noise.median if prediction.registered else 0.6745 * noise.sigma)
     total = summary(errors.distance)["median_mm"]
-    explained = sum((part or 0) ** 2 for part in (expected, step, start)) ** 0.5
+    explained = sum((part or 0) ** 2 for part in (expected, step, mesh, start)) ** 0.5
     left = None if total is None else max(total**2 - explained**2, 0) ** 0.5
     return {
         "noise_sigma_mm": None if noise is None else MILLI * noise.sigma,
         "noise_source": None if noise is None else noise.source,
         "noise_median_mm": expected,
         "time_step_median_mm": step,
+        "mesh_median_mm": mesh,
         "restart_median_mm": start,
         "explained_mm": explained,
         "unexplained_mm": left,

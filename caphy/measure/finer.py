@@ -13,18 +13,20 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from caphy.effects.model import Model
 from caphy.garment.subdivision import Subdivision
 from caphy.measure.scene import Scene
-from caphy.measure.windows import TOLERANCE, roll_out
+from caphy.measure.windows import roll_out
 from caphy.solve.body_motion import BodyMotion
-from caphy.solve.integrators import SDIRK2, State
-from caphy.solve.newton import Newton
+from caphy.solve.integrators import State
 from caphy.solve.rollout import Simulator
 
 
 class FinerMesh:
-    """A scene on the subdivision of its cloth."""
+    """A scene on the subdivision of its cloth.
+
+    Attributes:
+        scene: the same measurement, body and pins with the finer cloth; windows of it are started by :meth:`started`.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._count, self._subdivision = len(scene.garment.vertices), Subdivision.of(scene.garment)
@@ -32,17 +34,15 @@ class FinerMesh:
         if isinstance(motion, BodyMotion):
             motion = BodyMotion(motion.body, motion.poses, garment, motion.betas)
         fixed, pins = _pinned(scene, self._subdivision.pairs)
-        self._scene = replace(scene, garment=garment, motion=motion, fixed=fixed, pins=pins)
-
-    def simulator(self, model: Model) -> Simulator:
-        """Of a model on this mesh."""
-        newton = Newton(self._scene.potential(model), self._scene.fixed, TOLERANCE)
-        return Simulator(newton, self._scene.motion, SDIRK2(), self._scene.pins)  # type: ignore[arg-type]
+        self.scene = replace(scene, garment=garment, motion=motion, fixed=fixed, pins=pins)
 
     def rolled_out(self, simulator: Simulator, state: State, frame: int, length: int) -> np.ndarray:
-        """Positions (L + 1, V, 3) [m] of the scene's own vertices on this mesh, from a ``state`` of theirs."""
+        """Positions (L + 1, V, 3) [m] of the coarse cloth's vertices on this mesh, from a ``state`` of the coarse one.
+
+        ``simulator`` is one of :attr:`scene`.
+        """
         x, v = (torch.from_numpy(self._subdivision.carried(field.numpy())) for field in (state.x, state.v))
-        run = roll_out(self._scene, simulator, State(state.time, x, v), frame, length=length)
+        run = roll_out(self.scene, simulator, State(state.time, x, v), frame, length=length)
         return run.positions[:, : self._count]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-_NEAR_FLOOR = 1.3  # errors below this multiple of what noise, time step and restarts explain need no further cause
+_NEAR_FLOOR = 1.3  # errors below this multiple of what noise, solver, mesh and restarts explain need no further cause
 _NOTABLE = 1.0  # differences below this are not worth a sentence [mm]
 
 
@@ -33,6 +33,8 @@ def _headline(figures: dict) -> str:
         parts.append(f"noise explains {_mm(floor['noise_median_mm'])}")
     if floor["time_step_median_mm"] is not None:
         parts.append(f"the solver's time step {_mm(floor['time_step_median_mm'])}")
+    if floor["mesh_median_mm"] is not None:
+        parts.append(f"its mesh {_mm(floor['mesh_median_mm'])}")
     if floor["restart_median_mm"] is not None:
         parts.append(f"restarting from what was measured {_mm(floor['restart_median_mm'])}")
     if not parts:

@@ -105,7 +105,7 @@ class Watched:
         tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = Simulator(newton, self.scene.motion, pins=self.scene.pins)  # type: ignore[arg-type]
-        finer, abrupt = self._finer.simulator(model), self._abrupt(model, columns)
+        finer, abrupt = _simulator(self._finer.scene, model), self._abrupt(model, columns)
         for frame in starts:
             recorder.stages.clear()
             sharp = self._sharpened(states.state(frame), frame)
@@ -133,9 +133,7 @@ class Watched:
             effect = find_effect(column.effect)
             if effect.abrupt and column.value(model) == 0 and (self.scene.motion is not None or not effect.needs_body):
                 amount = float(column.declared.default)  # type: ignore[arg-type]
-                potential = self.scene.potential(moved(model, (column,), np.array([amount])))
-                newton = Newton(potential, self.scene.fixed, TOLERANCE)
-                found[place] = amount, Simulator(newton, self.scene.motion, SDIRK2(), self.scene.pins)  # type: ignore
+                found[place] = amount, _simulator(self.scene, moved(model, (column,), np.array([amount])))
         return found
 
     @cached_property
@@ -215,6 +213,12 @@ class Watched:
         return Response(
             self.number, frame, modal[..., 0], enough, modal[..., 3:last], nuisance, error, run.converged[1:]
         )
+
+
+def _simulator(scene: Scene, model: Model) -> Simulator:
+    """A simulator of a model, with the integrator of windows."""
+    newton = Newton(scene.potential(model), scene.fixed, TOLERANCE)
+    return Simulator(newton, scene.motion, SDIRK2(), scene.pins)  # type: ignore[arg-type]
 
 
 def watched(scenes: Sequence[Scene], length: int = LENGTH) -> list[Watched]:

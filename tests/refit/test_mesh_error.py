@@ -9,9 +9,10 @@ import pytest
 from explicit_cloth import measured, simulate, square
 
 from caphy.effects.model import Model
+from caphy.measure.comparison import compare
+from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
 from caphy.refit.evidence import evidence
-from caphy.refit.responses import Response
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -19,8 +20,8 @@ MESH = 1
 """Place of the mesh's error among what is not the model's."""
 
 
-def responses(fine: bool) -> list[Response]:
-    """Windows of cloth on a mesh of twice as many edges, or on the very mesh of the model, seen at its vertices."""
+def hung(fine: bool) -> Scene:
+    """Cloth on a mesh of twice as many edges, or on the very mesh of the model, seen at the model's vertices."""
     positions, keys = simulate(count=17 if fine else 9, steps=240 if fine else 120, settle=2.0, tempo=1.2)
     if fine:
         rest, faces, flat = square(9)
@@ -28,17 +29,22 @@ def responses(fine: bool) -> list[Response]:
         seen = np.flatnonzero(np.isin(grid, keys["pinned"]))
         keys |= {"faces": faces, "rest_vertices": rest, "material": flat[faces], "pinned": seen}
         positions = positions[:, grid]
-    return Study([Scene.of(measured(positions, keys, noise_mm=0.3))]).respond(MODEL, ())
+    return Scene.of(measured(positions, keys, noise_mm=0.3))
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[bool, tuple[np.ndarray, float]]:
+def scenes() -> dict[bool, Scene]:
+    return {fine: hung(fine) for fine in (True, False)}
+
+
+@pytest.fixture(scope="module")
+def told(scenes) -> dict[bool, tuple[np.ndarray, float]]:
     """How much of the mesh's error each window asks for, and the share of the misfit that one amount takes away."""
     found = {}
-    for fine in (True, False):
+    for fine, scene in scenes.items():
         windows = [
             replace(each, columns=each.nuisance[..., [MESH]], nuisance=np.delete(each.nuisance, MESH, axis=-1))
-            for each in responses(fine)
+            for each in Study([scene]).respond(MODEL, ())
         ]
         known = evidence(windows, np.full(windows[0].residual.shape[:2], 1e-6))
         normal, right = known.normal
@@ -57,3 +63,11 @@ def test_where_the_mesh_is_the_cloths_own_nothing_is_the_meshs_error(told):
     amounts, gain = told[False]
     assert gain < 0.01
     assert (np.abs(amounts) < 0.1).all()
+
+
+def test_a_comparison_says_what_is_due_to_the_mesh(scenes):
+    coarse, own = (
+        compare(predict_in_windows(scenes[fine], MODEL), scenes[fine].measurement).figures for fine in (True, False)
+    )
+    assert coarse["floor"]["mesh_median_mm"] > 0.5 * coarse["error"]["median_mm"]
+    assert own["floor"]["mesh_median_mm"] < 0.05
