@@ -21,7 +21,6 @@ import tyro
 
 from caphy.challenge.hidden import NOTHING, ONE, OUTSIDE, PAIRS
 from caphy.challenge.world import World, make
-from caphy.diagnose.diagnosis import Diagnosis
 
 
 @dataclass(frozen=True)
@@ -100,8 +99,8 @@ def run(case: Case, options: Options) -> dict:
     diagnosis = diagnose(world.model, world.train, _BASES[key], world.held_out)
     seconds = {"diagnosis": time.process_time() - began, "base": learned}
     told = figures(diagnosis)
-    told["ranking"] = told["ranking"][:6]
-    told["windows_of_the_fit"] = _forms(diagnosis)
+    told["ranking"] = told["ranking"][:3]
+    told["base"].pop("correction")
     if kind in ("one", "pair") and not wrong:
         told["truth_held_out_mm"] = _truth_held_out(world)
     return {"kind": kind, "scene": scene, "hidden": name, "seed": seed, "noise_mm": noise_mm, "points": points,
@@ -109,18 +108,6 @@ def run(case: Case, options: Options) -> dict:
 
 
 _BASES: dict = {}
-
-
-def _forms(diagnosis: Diagnosis) -> dict | None:
-    """What each window says of the fitted numbers, so that rules for intervals can be tried afterwards."""
-    fit = diagnosis.search.fit
-    if fit is None:
-        return None
-    scenes = [response.scene for response in fit.responses]
-    known = fit.evidence
-    parts = {"a": known.a, "b": known.b, "c": known.c, "weight": known.weight, "change": fit.change}
-    return {"columns": [column.name for column in fit.columns], "scene": scenes,
-            **{name: np.asarray(part).tolist() for name, part in parts.items()}}  # fmt: skip
 
 
 def _truth_held_out(world: World) -> float:

@@ -51,7 +51,7 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     the fit ended counts as an error too, on the side to which it points: effects of a few per cent of the misfit end a
     good part of it early.
     """
-    known = 0.0 if learned is None else learned.doubt(fit.columns, motions)
+    known = 0.0 if learned is None else learned.doubt(fit.columns, motions, fit.follow)
     own, wide = half_widths(fit.evidence, known, np.hypot(known, fit.step))
     below, above = np.where(fit.step < 0, wide, own), np.where(fit.step > 0, wide, own)
     found = {}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from caphy.effects.registry import find_effect, registered_effects
-from caphy.refit.columns import addition
-from caphy.refit.evidence import evidence
+from caphy.refit.columns import Column, addition
+from caphy.refit.evidence import evidence, ridged
 from caphy.refit.study import Fit, Study, fit
 
 
@@ -33,7 +34,27 @@ def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weig
     nothing = {key: np.zeros_like(fitted[key]) for key in effect.coefficients}
     idle = best.origin.with_effect(law, **{**fitted, **nothing})
     first = evidence(study.respond(idle, columns, what), variance, best.first.weight)
-    return replace(found, origin=idle, first=first)
+    follow = _led_astray(study, found, law, addition(effect.refines), variance)
+    return replace(found, origin=idle, first=first, follow=follow)
+
+
+def _led_astray(
+    study: Study, found: Fit, law: str, others: Sequence[Column], variance: np.ndarray
+) -> dict[Column, dict[Column, float]]:
+    """How far one unit of each of the linear effect's numbers, where it is not there, leads each of the law's astray.
+
+    Base measurements know how much of the linear effect mesh and solver look like; of the law they cannot know, since
+    without strength its velocity moves nothing.
+    """
+    many = len(found.columns)
+    responses = study.respond(found.model, (*found.columns, *others), f"trying {law}")
+    normal, _ = evidence(responses, variance, found.evidence.weight).normal
+    by = np.array([ridged(normal[:many, :many], right, 1e-9) for right in normal[:many, many:].T]).T
+    return {
+        column: dict(zip(others, map(float, row), strict=True))
+        for column, row in zip(found.columns, by, strict=True)
+        if column.effect == law
+    }
 
 
 def gained(before: Fit, after: Fit) -> tuple[float, float]:

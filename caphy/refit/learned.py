@@ -34,21 +34,27 @@ class Learned:
     motions: np.ndarray
     ridge: float
 
-    def doubt(self, columns: Sequence[Column], count: int) -> np.ndarray:
+    def doubt(
+        self, columns: Sequence[Column], count: int, follow: Mapping[Column, Mapping[Column, float]] | None = None
+    ) -> np.ndarray:
         """Standard errors (K,) of numbers fitted to ``count`` motions, by what mesh and solver get wrong in them.
 
         Each base motion in turn is corrected by the others, and the numbers are fitted to what is left, where they
         should be zero: that is how far a motion can lead them astray. The correction itself counts as an error beside
         it, since how much of it holds where the cloth moves otherwise is not known.
+
+        Args:
+            follow: for columns that base measurements do not know, those that they do know, and how far one unit of
+                each leads astray.
         """
-        known = [(i, self.columns.index(column)) for i, column in enumerate(columns) if column in self.columns]
-        astray = np.zeros((len(columns), 2))
-        if known:
-            rows, places = map(list, zip(*known, strict=True))
-            found = np.array([self._left_in(motion, places) for motion in np.unique(self.motions)])
-            astray[rows, 0] = np.sqrt((found**2).mean(axis=0) / count)
-            astray[rows, 1] = [self.correction.get(columns[row].name, 0.0) for row in rows]
-        return np.hypot(*astray.T)
+        meant = [(follow or {}).get(column, {column: 1.0}) for column in columns]
+        places = sorted({self.columns.index(other) for each in meant for other in each if other in self.columns})
+        if not places:
+            return np.zeros(len(columns))
+        by = np.array([[each.get(self.columns[place], 0.0) for place in places] for each in meant])
+        found = by @ np.array([self._left_in(motion, places) for motion in np.unique(self.motions)]).T
+        corrected = by @ [self.correction.get(self.columns[place].name, 0.0) for place in places]
+        return np.hypot(np.sqrt((found**2).mean(axis=1) / count), corrected)
 
     def _left_in(self, motion: int, places: Sequence[int]) -> np.ndarray:
         """Numbers fitted to one motion corrected by all the others."""

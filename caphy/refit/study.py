@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -150,6 +150,7 @@ class Fit:
             than twice that, because a fold that snaps the other way says nothing of the numbers.
         most: what each window may count at most (W,).
         converged: whether another step promised nothing.
+        follow: of columns that screens do not know, what those of the effect that theirs refines do to them.
     """
 
     origin: Model
@@ -161,6 +162,7 @@ class Fit:
     misfit: float
     most: np.ndarray
     converged: bool = False
+    follow: Mapping[Column, Mapping[Column, float]] = field(default_factory=dict)
 
     @property
     def change(self) -> np.ndarray:

@@ -63,6 +63,13 @@ def test_a_number_that_base_measurements_do_not_know_is_not_doubted():
     np.testing.assert_allclose(learned([1.0, 3.0]).doubt((other, PRESSURE), 1), [0.0, 0.0], atol=1e-9)
 
 
+def test_a_law_is_doubted_as_far_as_the_effect_that_it_refines_leads_it_astray():
+    wind = Column("wind_normal_quadratic", "velocity", (0,))
+    known = learned([1.0, 3.0])
+    (alone,), both = known.doubt((DRAG,), 4), known.doubt((wind, PRESSURE), 4, {wind: {DRAG: -0.5, PRESSURE: 7.0}})
+    np.testing.assert_allclose(both, [0.5 * alone, 0.0], rtol=1e-5)
+
+
 def test_doubt_adds_to_what_resampling_shows():
     known = windows(np.array([1.0, -2.0]), np.random.default_rng(1))
     alone = half_widths(known, 0.0)[0]
