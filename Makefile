@@ -9,7 +9,7 @@ demo: $(VENV)/.demo            ## serve the default avatar, send it a motion, wr
 	$(BIN)/caphy demo
 
 test: $(VENV)/.dev $(VENV)/.node  ## the whole test suite; the viewer's tests need chromium and node (.ci/run installs them)
-	OMP_NUM_THREADS=1 $(BIN)/pytest   # small matrices: two threads take twice as long
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile   # small matrices: two threads take twice as long as one
 
 lint: $(VENV)/.dev             ## ruff, pyright and the import layers
 	$(BIN)/ruff check .
