@@ -14,6 +14,7 @@ from caphy.diagnose.base import Base, base_of, checked_scene
 from caphy.diagnose.groups import columns_of
 from caphy.diagnose.laws import settle_laws
 from caphy.diagnose.outside import Outside, outside
+from caphy.diagnose.proof import each_proven
 from caphy.diagnose.search import Search, Term, search, take_back
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -23,7 +24,7 @@ from caphy.measure.noise import measurement_noise
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import HeldOut, held_out_errors
 from caphy.refit.intervals import intervals
-from caphy.refit.study import Progress, Study
+from caphy.refit.study import Fit, Progress, Study
 
 
 @dataclass(frozen=True)
@@ -145,14 +146,16 @@ def diagnose(
     found = search(study, start, model, known)
     while (term := _doubtful(found, known, len(study.scenes))) is not None:
         take_back(study, found, term)
-    settle_laws(study, found)
-    errors = None
-    if held_out and found.fit is not None:
-        columns, _ = columns_of(found.screens[0].groups)
-        expected = None if known is None else known.correction
+
+    def judged(fit: Fit) -> HeldOut:
+        columns, expected = ((), None) if known is None else (columns_of(found.screens[0].groups)[0], known.correction)
         variance = found.screens[0].variance
-        everything = () if known is None else columns
-        errors = held_out_errors(scenes[len(measurements) :], found.fit, variance, progress, everything, expected, crew)
+        return held_out_errors(scenes[len(measurements) :], fit, variance, progress, columns, expected, crew)
+
+    if held_out:
+        found = each_proven(study, found, judged)
+    settle_laws(study, found)
+    errors = judged(found.fit) if held_out and found.fit is not None else None
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
 

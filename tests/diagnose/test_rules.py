@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from caphy.diagnose import base, diagnosis
+from caphy.diagnose import base, diagnosis, proof
 from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.screen import Score
@@ -93,6 +93,27 @@ def test_what_is_found_must_hold_on_held_out_measurements(errors, believed):
     numbers = {"mass_damping.rate": Coefficient(1.0, 0.5, 1.5, "1/s")}
     assert (unproven(0.2, errors, numbers) == "") is believed
     assert unproven(0.2, None, numbers) == ""
+
+
+@pytest.mark.parametrize(
+    ("medians", "kept"),
+    [
+        ({"both": 2.0, "drag": 2.3, "pressure": 2.6}, ["mass_damping", "pressure"]),
+        ({"both": 2.4, "drag": 2.3, "pressure": 2.6}, ["mass_damping"]),
+        ({"both": 2.3, "drag": 2.3, "pressure": 2.6}, ["mass_damping"]),  # costs nothing
+        ({"both": 2.4, "drag": 2.5, "pressure": 2.2}, ["mass_damping", "pressure"]),  # the first was found first
+    ],
+)
+def test_each_further_effect_must_lower_the_held_out_median(medians, kept, monkeypatch):
+    def without(study, found, term):
+        found.terms = [other for other in found.terms if other is not term]
+        found.fit = "drag" if term.group is PRESSURE else "pressure"
+
+    monkeypatch.setattr(proof, "take_back", without)
+    before = Search(terms=[SimpleNamespace(group=group) for group in (DRAG, PRESSURE)], fit="both")  # type: ignore
+    found = proof.each_proven(None, before, lambda fit: held_out(0.1, 0.03, medians[fit]))  # type: ignore
+    assert [term.group.label for term in found.terms] == kept
+    assert len(before.terms) == 2
 
 
 def test_numbers_that_may_all_be_zero_name_nothing():
