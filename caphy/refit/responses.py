@@ -71,8 +71,9 @@ class Watched:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: must be registered; register the point clouds first")
         self.scene, self.number, self.length = scene, number, length
-        # What time step, mesh and errors of the start do to each window: steps of a fit change that little, so that it
-        # is told only at first and whenever the whole library is looked at.
+        # What time step, mesh and errors of the start do to each window: a fit changes that little, so that it is told
+        # once, and what the start does anew whenever the whole library is looked at. Not what the mesh does: a coarse
+        # one gives in less to a strong effect too, so that more of it and a finer mesh would look alike.
         self._solver: dict[int, np.ndarray] = {}
         self._starts: dict[int, np.ndarray] = {}
 
@@ -119,7 +120,7 @@ class Watched:
             for place, (amount, other) in abrupt.items():
                 with_it = roll_out(self.scene, other, state, frame, length=self.length)
                 changes[:, place] = (with_it.positions - run.positions) / amount
-            if frame not in self._solver or pushes is not None:
+            if frame not in self._solver:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
                 fine = self._finer.rolled_out(finer, state, frame, self.length)
                 errors_of = run.positions - rough.positions, fine - run.positions
