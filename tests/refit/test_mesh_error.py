@@ -12,17 +12,19 @@ from caphy.effects.model import Model
 from caphy.measure.comparison import compare
 from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
-from caphy.refit.evidence import evidence
-from caphy.refit.study import Study
+from caphy.refit.columns import addition
+from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.responses import Watched
+from caphy.refit.study import Study, fit
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 MESH = 1
 """Place of the mesh's error among what is not the model's."""
 
 
-def hung(fine: bool) -> Scene:
+def hung(fine: bool, **hidden: float) -> Scene:
     """Cloth on a mesh of twice as many edges, or on the very mesh of the model, seen at the model's vertices."""
-    positions, keys = simulate(count=17 if fine else 9, steps=240 if fine else 120, settle=2.0, tempo=1.2)
+    positions, keys = simulate(count=17 if fine else 9, steps=240 if fine else 120, settle=2.0, tempo=1.2, **hidden)
     if fine:
         rest, faces, flat = square(9)
         grid = np.arange(17 * 17).reshape(17, 17)[::2, ::2].ravel()
@@ -71,3 +73,27 @@ def test_a_comparison_says_what_is_due_to_the_mesh(scenes):
     )
     assert coarse["floor"]["mesh_median_mm"] > 0.5 * coarse["error"]["median_mm"]
     assert own["floor"]["mesh_median_mm"] < 0.05
+
+
+def damped(scenes: list[Scene]) -> float:
+    """The rate [1/s] of a damping fitted to windows."""
+    study, damping = Study(scenes), addition("mass_damping")
+    windows = study.respond(MODEL, damping)
+    variance = study.variance(windows)
+    weight = robust_weights(evidence(windows, variance))
+    return float(fit(study, MODEL, damping, windows, variance, weight).change[0])
+
+
+def test_a_damping_of_finer_cloth_is_measured_on_a_coarse_mesh(monkeypatch):
+    """What the mesh holds back is not taken for damping, as it is where its error is not known."""
+    scenes, respond = [hung(True, drag=0.6)], Watched._response  # 0.6 / 0.2 = 3 1/s
+    known = damped(scenes)
+
+    def without(*given):
+        told = respond(*given)
+        return replace(told, nuisance=np.delete(told.nuisance, MESH, axis=-1))
+
+    monkeypatch.setattr(Watched, "_response", without)
+    unknown = damped(scenes)
+    assert abs(known / 3 - 1) < 0.15
+    assert unknown / 3 - 1 > 0.4
