@@ -25,7 +25,7 @@ class FinerMesh:
     """A scene on the subdivision of its cloth.
 
     Attributes:
-        scene: the same measurement, body and pins with the finer cloth; windows of it are started by :meth:`started`.
+        scene: the same measurement, body and pins with the finer cloth; windows of it go through :meth:`rolled_out`.
     """
 
     def __init__(self, scene: Scene) -> None:
