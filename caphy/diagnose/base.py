@@ -35,6 +35,9 @@ from caphy.refit.study import FURTHEST, Fit, Progress, Study, fit, picked
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """How much corrections may be shrunk, in units of what the data say of each alone; windows left out choose."""
 
+ALL_OF_IT = 4 / 3
+"""Of what a mesh with edges half as long does otherwise: the whole error, where it falls with their square."""
+
 _OFF = 0.05  # of the misfit: what parameters must explain by themselves, in windows left out, to be moved for good
 _MUCH = 0.3  # of the misfit: where even numbers that go as far as any may are told
 _SURE = 20.0  # squared estimate over squared error of these
@@ -110,6 +113,7 @@ def base_of(
 def from_base(study: Study, model: Model) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
     changed: dict[str, float] = {}
+    study.mesh = _amount_of_mesh(study, model)
     look = _looked(study, model)
     fitted = _fitted(study, look, model)
     if fitted is not None:
@@ -122,14 +126,28 @@ def from_base(study: Study, model: Model) -> Base:
     mistaken = {s.group.label: s.gain for s in screened(look.known, look.groups, look.places, model)}
     median_mm = 1e3 * float(np.nanmedian(errors))
     motions = np.array([response.scene for response in look.probed])
-    learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge
+    learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge, study.mesh
     return Base(*learned, changed, mistaken, gain, probes, median_mm)
+
+
+def _amount_of_mesh(study: Study, model: Model) -> float:
+    """How much of what a finer mesh does otherwise is in all windows alike.
+
+    Windows ask for more or less of it, as cloth of another mesh does. Left free in each, it would take a part of every
+    stiffness that is missing with it.
+    """
+    free = study.respond(model, (), "mesh of the cloth")
+    variance = study.variance(free)
+    weight = robust_weights(evidence(free, variance))
+    alone = [replace(response.with_mesh(0.0), columns=response.of_mesh[..., None]) for response in free]
+    normal, right = evidence(alone, variance, weight).normal
+    return float(np.clip(ridged(normal, right, 0.0)[0], 0.0, ALL_OF_IT))
 
 
 def _looked(study: Study, model: Model) -> _Look:
     groups = (*own_groups(model, model), *library(model, study.on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, "base measurements", Probes(model))
+    probed = study.respond(model, columns, "base measurements", Probes(model), anew=True)
     responses = picked(probed, range(len(columns)))
     variance = study.variance(responses)
     known = evidence(responses, variance)

@@ -142,6 +142,7 @@ def diagnose(
     scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in every]
     study = Study(scenes[: len(measurements)], progress=progress, crew=crew)
     known = base if isinstance(base, Base) else base_of(model, base, garment, body, progress, crew)
+    study.mesh = None if known is None else known.mesh
     start = model if known is None else known.model
     found = search(study, start, model, known)
     while (term := _doubtful(found, known, len(study.scenes))) is not None:
@@ -149,8 +150,8 @@ def diagnose(
 
     def judged(fit: Fit) -> HeldOut:
         columns, expected = ((), None) if known is None else (columns_of(found.screens[0].groups)[0], known.correction)
-        variance = found.screens[0].variance
-        return held_out_errors(scenes[len(measurements) :], fit, variance, progress, columns, expected, crew)
+        apart = Study(scenes[len(measurements) :], progress=progress, crew=crew, mesh=study.mesh)
+        return held_out_errors(apart, fit, found.screens[0].variance, columns, expected)
 
     if held_out:
         found = each_proven(study, found, judged)

@@ -15,7 +15,7 @@ from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.responses import Response
-from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined, share_gone
+from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined, retold, share_gone
 
 LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
@@ -163,7 +163,7 @@ def screen(
     """
     groups = (*own_groups(model, original), *library(model, study.on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, "screening", Probes(model))
+    probed = study.respond(model, columns, "screening", Probes(model), anew=True)
     if first is None and base is not None:
         probed = study.correct(probed, columns, base.correction)
     responses = picked(probed, range(len(columns)))
@@ -220,6 +220,7 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
     more, _ = share_gone(_told(last, best.columns), best.evidence, since)
     if more < max(last.needed, _FURTHER if found.terms else 0.0):
         return None
+    best = retold(study, best, last.variance, last.evidence.weight)
     far = fits[label].misfit + _ROLLED * last.misfit
     groups = {score.group.label: score.group for score in near}
     even = tuple(groups[other] for other, each in fits.items() if other != label and each.misfit <= far)
@@ -294,7 +295,7 @@ def take_back(study: Study, found: Search, term: Term) -> None:
     others = [t for t in found.terms if t is not term]
     columns = tuple(c for group in (t.group for t in others) for c in group.columns)
     start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
-    responses = study.respond(start, columns, f"without {label}")
+    responses = study.respond(start, columns, f"without {label}", anew=True)
     without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
     found.removed.append(label)
     found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns))

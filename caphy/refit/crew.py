@@ -71,6 +71,7 @@ class Crew:
         model: Model,
         columns: Sequence[Column],
         pushes: Callable[[Watched], Pushes] | None,
+        anew: frozenset[str],
     ) -> Iterator[tuple[int, Response]]:
         """Windows of a study against a model, each with its place in ``places``, in the order in which they are done.
 
@@ -83,7 +84,7 @@ class Crew:
                 share = [i for i, place in enumerate(places) if place[0] == number and i % len(self._each) == who]
                 if share:
                     frames = [places[i][1] for i in share]
-                    found[each.submit(_respond, study, number, frames, model, tuple(columns), pushes)] = share
+                    found[each.submit(_respond, study, number, frames, model, tuple(columns), pushes, anew)] = share
         try:
             for future in as_completed(found):
                 yield from zip(found[future], future.result(), strict=True)
@@ -133,6 +134,7 @@ def _respond(
     model: Model,
     columns: Sequence[Column],
     pushes: Callable[[Watched], Pushes] | None,
+    anew: frozenset[str],
 ) -> list[Response]:
     each = _KNOWN[study][number]
-    return list(each.respond(model, columns, frames, None if pushes is None else pushes(each)))
+    return list(each.respond(model, columns, frames, None if pushes is None else pushes(each), anew))

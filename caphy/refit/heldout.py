@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from caphy.measure.noise import measurement_noise
-from caphy.measure.scene import Scene
 from caphy.refit.columns import Column
-from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.study import Fit, Progress, Study, picked, share_gone
+from caphy.refit.study import Fit, Study, picked, share_gone
 
 PROVEN = 1 / 3
 """Of the share of the misfit that a fit takes away: what it must take away on held-out measurements."""
@@ -53,32 +51,19 @@ class HeldOut:
 
 
 def held_out_errors(
-    scenes: Sequence[Scene],
-    fitted: Fit,
-    variance: np.ndarray,
-    progress: Progress | None = None,
-    columns: Sequence[Column] = (),
-    known: Mapping[str, float] | None = None,
-    crew: Crew | None = None,
-) -> HeldOut:
-    """Roll out a model before and after a fit on held-out scenes.
-
-    ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
-    """
-    return judged(Study(scenes, progress=progress, crew=crew), fitted, variance, columns, known or {})
-
-
-def judged(
     study: Study,
     fitted: Fit,
     variance: np.ndarray,
     columns: Sequence[Column] = (),
     known: Mapping[str, float] | None = None,
 ) -> HeldOut:
-    """The same on the windows of a study."""
+    """Roll out a model before and after a fit on the held-out windows of a study.
+
+    ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
+    """
     every = (*columns, *(column for column in fitted.columns if column not in columns))
-    old = study.correct(study.respond(fitted.origin, every, "held-out windows"), every, known or {})
-    new = study.respond(fitted.model, fitted.columns, "held-out windows")
+    old = study.correct(study.respond(fitted.origin, every, "held-out windows", anew=True), every, known or {})
+    new = study.respond(fitted.model, fitted.columns, "held-out windows", anew=True)
     before = evidence(picked(old, [every.index(column) for column in fitted.columns]), variance)
     before = replace(before, weight=robust_weights(before))
     gone, error = share_gone(before, evidence(new, variance, before.weight), fitted.change)

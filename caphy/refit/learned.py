@@ -24,6 +24,7 @@ class Learned:
         told: what the W windows say in these columns.
         motions: which measurement each window is of, (W,).
         ridge: how much corrections are shrunk.
+        mesh: how much of what a finer mesh does otherwise is in all windows.
     """
 
     model: Model
@@ -33,6 +34,7 @@ class Learned:
     told: Evidence
     motions: np.ndarray
     ridge: float
+    mesh: float
 
     def doubt(
         self, columns: Sequence[Column], count: int, follow: Mapping[Column, Mapping[Column, float]] | None = None

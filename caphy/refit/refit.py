@@ -18,11 +18,11 @@ from caphy.measure.track import registered
 from caphy.refit.columns import Column, addition, extended, moved, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors, judged
+from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors
 from caphy.refit.intervals import intervals
 from caphy.refit.laws import in_another_law
 from caphy.refit.learned import Learned
-from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked
+from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked, retold
 
 LEAST = 0.01
 """Share of the held-out misfit that must go in any case."""
@@ -77,16 +77,14 @@ def refit(
     names = _checked(model, add)
     model = model if learned is None else learned.model
     scenes = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in measurements]
-    study = Study(scenes, progress=progress, crew=crew)
+    mesh = None if learned is None else learned.mesh
+    study = Study(scenes, progress=progress, crew=crew, mesh=mesh)
     apart = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in held_out]
-    proof = None if apart else _split(study)
+    proof = Study(apart, progress=progress, crew=crew, mesh=mesh) if apart else _split(study)
     fitted, first, removed = _fitted(study, model, names, learned)
     variance = first.variance
     known = () if learned is None else learned.columns, {} if learned is None else learned.correction
-    if proof is None:
-        errors = held_out_errors(apart, fitted, variance, progress, *known, crew=crew)
-    else:
-        errors = judged(proof, fitted, variance, *known)
+    errors = held_out_errors(proof, fitted, variance, *known)
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
@@ -165,6 +163,7 @@ def _fitted(
         kept = [columns.index(column) for column in trials[name].columns]
         best = replace(trials[name], origin=model, first=evidence(picked(responses, kept), variance, weight))
         removed.append(name)
+    best = retold(study, best, variance, weight)
     for name, law in wanted.items():
         if law != name and name not in removed:
             best = in_another_law(study, best, law, variance, weight)
@@ -183,7 +182,7 @@ def _without(
 
 def _split(study: Study) -> Study:
     """Move every fourth window of a study into another one."""
-    proof = Study(study.scenes, study.length, study.progress, study.crew)
+    proof = Study(study.scenes, study.length, study.progress, study.crew, study.mesh)
     place = 0
     for number, starts in enumerate(study.starts):
         later = [(place + i) % _LATER == _LATER - 1 for i in range(len(starts))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,9 @@ from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
 from caphy.solve.integrators import SDIRK2, State
 from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
+
+MESH = 1
+"""Place of the mesh's error among nuisances."""
 
 ENOUGH = 0.5
 """Share of the vertices that must be seen for a frame to count."""
@@ -62,6 +65,16 @@ class Response:
     error: np.ndarray
     converged: np.ndarray
 
+    @property
+    def of_mesh(self) -> np.ndarray:
+        """What a finer mesh does otherwise (L, M, 3) [m]."""
+        return self.nuisance[..., MESH]
+
+    def with_mesh(self, amount: float) -> Response:
+        """The same where it is known how much of the mesh's error is there: taken away, and free no more."""
+        left = np.delete(self.nuisance, MESH, axis=-1)
+        return replace(self, residual=self.residual - amount * self.of_mesh, nuisance=left)
+
 
 class Watched:
     """A measured scene, cut into windows."""
@@ -71,9 +84,7 @@ class Watched:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: must be registered; register the point clouds first")
         self.scene, self.number, self.length = scene, number, length
-        # What time step, mesh and errors of the start do to each window: a fit changes that little, so that it is told
-        # once, and what the start does anew whenever the whole library is looked at. Not what the mesh does: a coarse
-        # one gives in less to a strong effect too, so that more of it and a finer mesh would look alike.
+        # What time step, mesh and errors of the start do to each window: a step of a fit changes that little.
         self._solver: dict[int, np.ndarray] = {}
         self._starts: dict[int, np.ndarray] = {}
 
@@ -95,10 +106,13 @@ class Watched:
         columns: Sequence[Column],
         starts: Sequence[int],
         pushes: Pushes | None = None,
+        anew: frozenset[str] = frozenset(),
     ) -> Iterator[Response]:
         """The windows that start at given frames, one after another.
 
-        ``pushes`` are further forces to respond to, after the columns.
+        Args:
+            pushes: further forces to respond to, after the columns.
+            anew: which errors are told of this model even where an earlier one's are known: "solver", "start".
         """
         potential = self.scene.potential(model)
         newton = Newton(potential, self.scene.fixed, TOLERANCE)
@@ -112,7 +126,7 @@ class Watched:
             sharp = self._sharpened(states.state(frame), frame)
             state = states.state(frame) if sharp is None else sharp
             run = roll_out(self.scene, simulator, state, frame, length=self.length)
-            if frame not in self._starts or pushes is not None:
+            if frame not in self._starts or "start" in anew:
                 errors = self._start(BLURRED if sharp is None else self._blur)
             else:
                 errors = None
@@ -120,11 +134,10 @@ class Watched:
             for place, (amount, other) in abrupt.items():
                 with_it = roll_out(self.scene, other, state, frame, length=self.length)
                 changes[:, place] = (with_it.positions - run.positions) / amount
-            if frame not in self._solver:
-                rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1)
+            if frame not in self._solver or "solver" in anew:
+                rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1).positions
                 fine = self._finer.rolled_out(finer, state, frame, self.length)
-                errors_of = run.positions - rough.positions, fine - run.positions
-                self._solver[frame] = np.stack(errors_of, axis=1)[1:]
+                self._solver[frame] = np.stack([run.positions - rough, fine - run.positions], axis=1)[1:]
             yield self._response(frame, run, changes[1:], 0 if errors is None else len(errors.x))
 
     def _abrupt(self, model: Model, columns: Sequence[Column]) -> dict[int, tuple[float, Simulator]]:

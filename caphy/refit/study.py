@@ -25,6 +25,9 @@ _SHORTER = 0.4
 ROUNDS = 7
 """Gauss-Newton steps at most."""
 
+RETELLINGS = 3
+"""Times at most that the mesh's error is told of a fitted model."""
+
 _SETTLED = 4e-3  # of what the whole change takes away: what a further step must promise; 6 % of the numbers
 _NOTHING = 1e-5  # of the misfit: a promise that is none
 
@@ -50,12 +53,15 @@ class Study:
         length: int = LENGTH,
         progress: Progress | None = None,
         crew: Crew | None = None,
+        mesh: float | None = None,
     ) -> None:
-        """``crew`` rolls windows out, this process does unless given.
+        """``crew`` rolls windows out, this process does unless given. ``mesh`` is how much of the mesh's error is in
+        all windows, where that is known; it is free in each unless given.
 
         Raises :class:`CaphyError` where there are too few windows.
         """
         self.scenes, self.length, self.progress, self.crew = tuple(scenes), length, progress, crew
+        self.mesh = mesh
         self.watched = watched(scenes, length)
         self._expected: list[np.ndarray] | None = None
         self.starts = [each.starts() for each in self.watched]
@@ -87,16 +93,22 @@ class Study:
         columns: Sequence[Column],
         what: str = "rolling out",
         pushes: Callable[[Watched], Pushes] | None = None,
+        anew: bool = False,
     ) -> list[Response]:
         """All windows against a model.
 
-        ``pushes`` makes further forces, of no effect, to respond to.
+        Args:
+            pushes: makes further forces, of no effect, to respond to.
+            anew: whether errors of the start are told of this model, and those of time step and mesh where it is known
+                how much the mesh does. Where it is not, they stay as they were told first: a coarse mesh gives in less
+                to a strong effect too, so that more of one that was told anew and more of the effect would look alike.
         """
         places = [(number, frame) for number, starts in enumerate(self.starts) for frame in starts]
         found: dict[int, Response] = {}
-        for place, response in self._responses(places, model, columns, pushes):
+        for place, response in self._responses(places, model, columns, pushes, anew):
             wrong = 0.0 if self._expected is None else self._expected[place]
-            found[place] = replace(response, residual=response.residual - wrong)
+            known = response if self.mesh is None else response.with_mesh(self.mesh)
+            found[place] = replace(known, residual=known.residual - wrong)
             if self.progress is not None:
                 self.progress(what, len(found), len(places))
         return [found[place] for place in range(len(places))]
@@ -107,14 +119,16 @@ class Study:
         model: Model,
         columns: Sequence[Column],
         pushes: Callable[[Watched], Pushes] | None,
+        anew: bool,
     ) -> Iterator[tuple[int, Response]]:
+        errors = frozenset(() if not anew else ("start",) if self.mesh is None else ("start", "solver"))
         if self.crew is not None and self._known_as is not None:
-            yield from self.crew.respond(self._known_as, places, model, columns, pushes)
+            yield from self.crew.respond(self._known_as, places, model, columns, pushes, errors)
             return
         first = 0
         for each, starts in zip(self.watched, self.starts, strict=True):
             forces = None if pushes is None else pushes(each)
-            yield from enumerate(each.respond(model, columns, starts, forces), first)
+            yield from enumerate(each.respond(model, columns, starts, forces, errors), first)
             first += len(starts)
 
     def correct(
@@ -283,6 +297,26 @@ def refined(
             return best
         else:
             step = _SHORTER * step
+    return best
+
+
+def retold(
+    study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "what the mesh does now"
+) -> Fit:
+    """A fit carried on with the mesh's error told of the fitted model, where it is known how much of it is there.
+
+    A coarse mesh does not answer a stiffness or a damping as the cloth does; how its error changes with the fit tells
+    what is between them.
+    """
+    if study.mesh is None:
+        return best
+    for _ in range(RETELLINGS):
+        told = study.respond(best.model, best.columns, what, anew=True)
+        start = _judged(best.origin, best.model, best.columns, told, variance, weight, best.most)
+        best = replace(start, first=best.first)
+        if best.settled:
+            return replace(best, converged=True)
+        best = refined(study, best, variance, weight, what)
     return best
 
 

@@ -41,7 +41,9 @@ def test_a_crew_finds_what_one_process_does(scene, tmp_path, monkeypatch):
     assert [(each.scene, each.start) for each in found] == [(each.scene, each.start) for each in wanted]
     for one, other in zip(found, wanted, strict=True):
         for field in ("residual", "columns", "nuisance", "error"):
-            np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+            wanted_there = getattr(other, field)  # sums of two threads differ in their last bits from those of one
+            scale = np.nanmax(np.abs(wanted_there), initial=0.0)
+            np.testing.assert_allclose(getattr(one, field), wanted_there, rtol=0, atol=1e-9 * scale)
     assert told[-1] == ("trying", len(wanted), len(wanted))
 
 

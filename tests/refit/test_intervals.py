@@ -44,7 +44,7 @@ def learned(numbers: list[float], ridge: float = 1e-12) -> Learned:
     told = Evidence(a, b, np.full(count, 100.0), np.ones(count), np.full(count, 40))
     correction = {DRAG.name: float(np.mean(numbers)), PRESSURE.name: 0.0}
     motions = np.repeat(np.arange(len(numbers)), 3)
-    return Learned(MODEL, (DRAG, PRESSURE), correction, np.ones((1, 1)), told, motions, ridge)
+    return Learned(MODEL, (DRAG, PRESSURE), correction, np.ones((1, 1)), told, motions, ridge, 0.0)
 
 
 def test_doubt_is_what_the_other_base_motions_leave():
