@@ -25,7 +25,7 @@ def users_square(count: int = 17) -> Garment:
     return _sheet(flat, np.concatenate([first, second]))
 
 
-def other_square(edge: float = 0.02) -> Garment:
+def other_square(edge: float = 0.0125) -> Garment:
     """An irregular mesh of the same square: a triangular lattice askew, evened out to meet an evenly spaced rim."""
     spaces = round(SIDE / edge)
     along = np.linspace(0, SIDE, spaces + 1)[:-1]
