@@ -20,7 +20,7 @@ from caphy.garment.topology import face_areas
 from caphy.io.measurements import Measurement
 from caphy.solve.integrators import State
 
-REVISION = 5
+REVISION = 6
 """Raised whenever the same arguments give another motion, so that no older film is taken from a cache."""
 
 

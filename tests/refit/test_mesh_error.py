@@ -20,6 +20,7 @@ from caphy.refit.study import Study, fit, retold
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 
+
 def hung(fine: bool, **hidden) -> Scene:
     """Cloth on a mesh of twice as many edges, or on the very mesh of the model, seen at the model's vertices."""
     positions, keys = simulate(count=17 if fine else 9, steps=240 if fine else 120, settle=2.0, tempo=1.2, **hidden)
