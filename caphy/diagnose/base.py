@@ -113,7 +113,6 @@ def base_of(
 def from_base(study: Study, model: Model) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
     changed: dict[str, float] = {}
-    study.mesh = _amount_of_mesh(study, model)
     look = _looked(study, model)
     fitted = _fitted(study, look, model)
     if fitted is not None:
@@ -126,18 +125,16 @@ def from_base(study: Study, model: Model) -> Base:
     mistaken = {s.group.label: s.gain for s in screened(look.known, look.groups, look.places, model)}
     median_mm = 1e3 * float(np.nanmedian(errors))
     motions = np.array([response.scene for response in look.probed])
-    learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge, study.mesh
+    learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge, study.mesh or 0.0
     return Base(*learned, changed, mistaken, gain, probes, median_mm)
 
 
-def _amount_of_mesh(study: Study, model: Model) -> float:
-    """How much of what a finer mesh does otherwise is in all windows alike.
+def _amount_of_mesh(free: Sequence[Response], variance: np.ndarray) -> float:
+    """How much of what a finer mesh does otherwise is in all windows alike; so far it is free in each.
 
-    Windows ask for more or less of it, as cloth of another mesh does. Left free in each, it would take a part of every
+    Windows ask for more or less of it, as cloth of another mesh does. Left free, it would take a part of every
     stiffness that is missing with it.
     """
-    free = study.respond(model, (), "mesh of the cloth")
-    variance = study.variance(free)
     weight = robust_weights(evidence(free, variance))
     alone = [replace(response.with_mesh(0.0), columns=response.of_mesh[..., None]) for response in free]
     normal, right = evidence(alone, variance, weight).normal
@@ -145,9 +142,14 @@ def _amount_of_mesh(study: Study, model: Model) -> float:
 
 
 def _looked(study: Study, model: Model) -> _Look:
+    """A look at all windows; the first one tells the study how much of the mesh's error is in them."""
     groups = (*own_groups(model, model), *library(model, study.on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, "base measurements", Probes(model), anew=True)
+    probed = study.respond(model, columns, "base measurements", Probes(model), anew={"start", "solver"})
+    if study.mesh is None:
+        free = picked(probed, ())
+        study.mesh = _amount_of_mesh(free, study.variance(free))
+        probed = [response.with_mesh(study.mesh) for response in probed]
     responses = picked(probed, range(len(columns)))
     variance = study.variance(responses)
     known = evidence(responses, variance)

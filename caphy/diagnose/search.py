@@ -163,7 +163,7 @@ def screen(
     """
     groups = (*own_groups(model, original), *library(model, study.on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, "screening", Probes(model), anew=True)
+    probed = study.respond(model, columns, "screening", Probes(model), anew={"start"})
     if first is None and base is not None:
         probed = study.correct(probed, columns, base.correction)
     responses = picked(probed, range(len(columns)))
@@ -295,7 +295,7 @@ def take_back(study: Study, found: Search, term: Term) -> None:
     others = [t for t in found.terms if t is not term]
     columns = tuple(c for group in (t.group for t in others) for c in group.columns)
     start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
-    responses = study.respond(start, columns, f"without {label}", anew=True)
+    responses = study.respond(start, columns, f"without {label}", anew={"solver"})
     without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
     found.removed.append(label)
     found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns))

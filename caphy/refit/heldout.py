@@ -62,8 +62,8 @@ def held_out_errors(
     ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
     """
     every = (*columns, *(column for column in fitted.columns if column not in columns))
-    old = study.correct(study.respond(fitted.origin, every, "held-out windows", anew=True), every, known or {})
-    new = study.respond(fitted.model, fitted.columns, "held-out windows", anew=True)
+    old = study.correct(study.respond(fitted.origin, every, "held-out windows", anew={"solver"}), every, known or {})
+    new = study.respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
     before = evidence(picked(old, [every.index(column) for column in fitted.columns]), variance)
     before = replace(before, weight=robust_weights(before))
     gone, error = share_gone(before, evidence(new, variance, before.weight), fitted.change)

@@ -112,7 +112,7 @@ class Watched:
 
         Args:
             pushes: further forces to respond to, after the columns.
-            anew: which errors are told of this model even where an earlier one's are known: "solver", "start".
+            anew: errors to tell of this model even where an earlier one's are known: "solver", "start".
         """
         potential = self.scene.potential(model)
         newton = Newton(potential, self.scene.fixed, TOLERANCE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -93,15 +93,15 @@ class Study:
         columns: Sequence[Column],
         what: str = "rolling out",
         pushes: Callable[[Watched], Pushes] | None = None,
-        anew: bool = False,
+        anew: Collection[str] = (),
     ) -> list[Response]:
         """All windows against a model.
 
         Args:
             pushes: makes further forces, of no effect, to respond to.
-            anew: whether errors of the start are told of this model, and those of time step and mesh where it is known
-                how much the mesh does. Where it is not, they stay as they were told first: a coarse mesh gives in less
-                to a strong effect too, so that more of one that was told anew and more of the effect would look alike.
+            anew: errors to tell of this model even where an earlier one's are known: "start", and "solver", those of
+                time step and mesh. The latter only where it is known how much the mesh does: a coarse one gives in less
+                to a strong effect too, so that more of an error told anew and more of the effect would look alike.
         """
         places = [(number, frame) for number, starts in enumerate(self.starts) for frame in starts]
         found: dict[int, Response] = {}
@@ -119,9 +119,9 @@ class Study:
         model: Model,
         columns: Sequence[Column],
         pushes: Callable[[Watched], Pushes] | None,
-        anew: bool,
+        anew: Collection[str],
     ) -> Iterator[tuple[int, Response]]:
-        errors = frozenset(() if not anew else ("start",) if self.mesh is None else ("start", "solver"))
+        errors = frozenset(anew) - (frozenset() if self.mesh is not None else {"solver"})
         if self.crew is not None and self._known_as is not None:
             yield from self.crew.respond(self._known_as, places, model, columns, pushes, errors)
             return
@@ -311,7 +311,7 @@ def retold(
     if study.mesh is None:
         return best
     for _ in range(RETELLINGS):
-        told = study.respond(best.model, best.columns, what, anew=True)
+        told = study.respond(best.model, best.columns, what, anew={"solver"})
         start = _judged(best.origin, best.model, best.columns, told, variance, weight, best.most)
         best = replace(start, first=best.first)
         if best.settled:
