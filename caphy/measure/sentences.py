@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-_NEAR_FLOOR = 1.3  # errors below this multiple of what noise, solver, mesh and restarts explain need no further cause
+_NEAR_FLOOR = 1.3  # of what noise, solver, mesh and restarts explain; right models on other meshes reach it too
 _NOTABLE = 1.0  # differences below this are not worth a sentence [mm]
 
 
@@ -13,7 +13,10 @@ def sentences(figures: dict) -> list[str]:
         return ["Nothing was measured in the frames that the model covers."]
     said = [_headline(figures)]
     if error["median_mm"] <= _NEAR_FLOOR * floor["explained_mm"]:
-        said.append("That is about as near as a perfect model could come: nothing here asks for another effect.")
+        said.append(
+            "These explain most of it, so that the median does not tell whether an effect is missing: caphy diagnose "
+            "compares whole motions, and does."
+        )
     else:
         said += [s for s in (_where(figures), _when(figures), _grows(figures), _moment(figures)) if s]
     return [*said, *_cautions(figures)]
