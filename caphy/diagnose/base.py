@@ -132,8 +132,8 @@ def from_base(study: Study, model: Model) -> Base:
 def _amount_of_mesh(free: Sequence[Response], variance: np.ndarray) -> float:
     """How much of what a finer mesh does otherwise is in all windows alike; so far it is free in each.
 
-    Windows ask for more or less of it, as cloth of another mesh does. Left free, it would take a part of every
-    stiffness that is missing with it.
+    Windows ask for more or less of it, as cloth of another mesh does. Left free, it may take a part of a stiffness that
+    is missing with it.
     """
     weight = robust_weights(evidence(free, variance))
     alone = [replace(response.with_mesh(0.0), columns=response.of_mesh[..., None]) for response in free]
