@@ -43,6 +43,7 @@ def figures(diagnosis: Diagnosis) -> dict:
             "gain": base.gain,
             "median_mm": base.median_mm,
             "parameters_changed": base.changed,
+            "mesh": base.mesh,
             "correction": dict(base.correction),
         },
         "probes": diagnosis.outside.gains,
