@@ -31,7 +31,7 @@ RATE = 960.0
 TURN = 0.4
 """Of the fastest motion that kicks alone would make, its angle from one to the next at most [rad].
 
-Longer ones meet the stretching in between in resonance: at 0.9 cloth of 1.25 cm edges flew apart."""
+Longer ones meet the stretching in between in resonance: at 0.55 shrunk cloth of 1.25 cm edges flew apart."""
 RATE_ON_BODY = 7200.0
 """Fewest short steps per second in contact with a body, whose push is stiff [Hz].
 
@@ -186,7 +186,7 @@ class Leapfrog:
             rate *= 1.25
 
     def _kick_rate(self, rounds: int = 40) -> float:
-        """Kicks per second [Hz] that all other effects demand, whatever damping they hold."""
+        """Kicks per second [Hz] that all effects between them demand at rest, without what a body does."""
 
         def slow(x: np.ndarray, moved: np.ndarray) -> np.ndarray:
             now = _Now(x, 0 * moved, 0.0)

@@ -29,11 +29,13 @@ def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weig
     values = effect.start(best.model.effects[effect.refines])
     start = best.model.without_effect(effect.refines).with_effect(law, **values)
     what = f"trying {law}"
-    found = fit(study, start, columns, study.respond(start, columns, what), variance, weight, what, most=best.most)
+    # Errors of the mesh may last have been told of a model that was tried and given up.
+    responses = study.respond(start, columns, what, anew={"solver"})
+    found = fit(study, start, columns, responses, variance, weight, what, most=best.most)
     fitted = found.model.effects[law]
     nothing = {key: np.zeros_like(fitted[key]) for key in effect.coefficients}
     idle = best.origin.with_effect(law, **{**fitted, **nothing})
-    first = evidence(study.respond(idle, columns, what), variance, best.first.weight)
+    first = evidence(study.respond(idle, columns, what, anew={"solver"}), variance, best.first.weight)
     follow = _led_astray(study, found, law, addition(effect.refines), variance)
     return replace(found, origin=idle, first=first, follow=follow)
 
