@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +22,7 @@ from caphy.challenge.stage import FPS, Stage
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
+from caphy.processes import one_thread_each
 
 SCENES = {"square": square, "skirt": skirt, "tshirt": tshirt}
 """Scenes by name: what makes their stage from (seed, frames, same_mesh)."""
@@ -52,6 +57,7 @@ def make(
     frames: int = 48,
     wrong: float = 0.0,
     cache: Path | None = None,
+    processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> World:
     """Simulate a scene with something hidden in it, and measure it.
@@ -65,18 +71,19 @@ def make(
         frames: of each measurement.
         wrong: by how much, up and down in turn, the user's stiffnesses are off, as a share.
         cache: folder in which simulations are kept; noise is added afterwards.
+        processes: simulate motions side by side where there are more than one.
         progress: told how many motions of how many are done.
 
     Raises:
-        CaphyError: no such scene, or the cloth flew apart.
+        CaphyError: no such scene, the cloth flew apart, or a process died.
     """
     if scene not in SCENES:
         raise CaphyError(f"there is no scene {scene!r}; known: {', '.join(SCENES)}")
     hidden = hidden.drawn(scene, np.random.default_rng([seed, 1]))
     stage = SCENES[scene](seed, frames, hidden.same_mesh)
     found: dict[str, list[Measurement]] = {"train": [], "held_out": [], "base": []}
-    for done, play in enumerate(stage.plays, 1):
-        film = record(stage, play, Hidden("nothing") if play.part == "base" else hidden, seed, frames, cache)
+    films = _films(stage, hidden, seed, frames, cache, processes)
+    for done, (play, film) in enumerate(zip(stage.plays, films, strict=True), 1):
         random = np.random.default_rng([seed, 2, ord(play.part[0]), play.number])
         found[play.part].append(seen_by_user(stage, play, film, noise_mm, points, random))
         if progress is not None:
@@ -84,6 +91,32 @@ def make(
     model = _astray(stage.model, wrong)
     answer = _answer(stage, hidden, seed, noise_mm, points, frames, wrong)
     return World(model, tuple(found["train"]), tuple(found["held_out"]), tuple(found["base"]), answer)
+
+
+def _films(
+    stage: Stage, hidden: Hidden, seed: int, frames: int, cache: Path | None, processes: int
+) -> Iterator[np.ndarray]:
+    """Positions (T, V, 3) [m] of the truth's mesh in each play, one after another."""
+    numbers = range(len(stage.plays))
+    if processes <= 1:
+        yield from (_film(stage, hidden, seed, frames, cache, number) for number in numbers)
+        return
+    filmed = partial(_filmed, stage.name, hidden, seed, frames, cache)
+    with one_thread_each(), ProcessPoolExecutor(min(processes, len(numbers)), get_context("spawn")) as cameras:
+        try:
+            yield from cameras.map(filmed, numbers)
+        except BrokenProcessPool as error:
+            raise CaphyError("a process that simulated a motion died; is there memory enough for each core?") from error
+
+
+def _filmed(name: str, hidden: Hidden, seed: int, frames: int, cache: Path | None, number: int) -> np.ndarray:
+    """In a process of its own, which sets the stage for itself."""
+    return _film(SCENES[name](seed, frames, hidden.same_mesh), hidden, seed, frames, cache, number)
+
+
+def _film(stage: Stage, hidden: Hidden, seed: int, frames: int, cache: Path | None, number: int) -> np.ndarray:
+    play = stage.plays[number]
+    return record(stage, play, Hidden("nothing") if play.part == "base" else hidden, seed, frames, cache)
 
 
 def _astray(model: Model, share: float) -> Model:

@@ -56,6 +56,7 @@ def new(command: New) -> None:
     from caphy.challenge.sealed import NAME, seal
     from caphy.challenge.world import make
     from caphy.io.measurements import write_measurement
+    from caphy.processes import cores
 
     if command.noise < 0 or command.seed < 0:
         raise CaphyError(f"seed and noise must not be negative, got {command.seed} and {command.noise}")
@@ -70,6 +71,7 @@ def new(command: New) -> None:
             command.seed,
             noise_mm=command.noise,
             points=command.points,
+            processes=cores(),
             progress=lambda done, total: progress("motions", done, total),
         )
     command.output.mkdir(parents=True, exist_ok=True)

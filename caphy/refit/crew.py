@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
@@ -17,14 +15,10 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
+from caphy.processes import cores, one_thread_each
 from caphy.refit.columns import Column
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
-
-MOST = 8
-"""Processes at most; each holds its own copy of everything."""
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 Place = tuple[int, int]
 """A window: the number of its scene, and its first frame."""
@@ -39,11 +33,11 @@ class Crew:
 
     def __init__(self, effect_files: Sequence[Path] = (), size: int | None = None) -> None:
         """``effect_files`` hold effects of the user's own, which every process must know."""
-        size = min(len(os.sched_getaffinity(0)), MOST) if size is None else size
+        size = cores() if size is None else size
         context = get_context("spawn")
         self._each = [ProcessPoolExecutor(1, context, _begin, (tuple(effect_files),)) for _ in range(size)]
         self._studies = 0
-        with _one_thread_each():
+        with one_thread_each():
             for each in self._each:
                 each.submit(int)  # begins the process
 
@@ -93,21 +87,6 @@ class Crew:
         finally:
             for future in found:
                 future.cancel()
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes begun here use one thread: libraries read that when they are imported, and threads of several
-    processes that wait for each other take four times as long."""
-    before = {name: os.environ.pop(name, None) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            del os.environ[name]
-            if value is not None:
-                os.environ[name] = value
 
 
 _KNOWN: dict[int, list[Watched]] = {}

@@ -1,0 +1,32 @@
+"""Processes that share long work: one thread in each, as many as the machine has cores for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+MOST = 8
+"""Processes at most; each holds its own copy of everything."""
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def cores() -> int:
+    """Cores that this process may use, :data:`MOST` at most."""
+    return min(len(os.sched_getaffinity(0)), MOST)
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Processes begun here use one thread: libraries read that when they are imported, and threads of several
+    processes that wait for each other take four times as long."""
+    before = {name: os.environ.pop(name, None) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            del os.environ[name]
+            if value is not None:
+                os.environ[name] = value
