@@ -11,7 +11,7 @@ from math import sqrt
 import numpy as np
 
 from caphy.effects.hinge import COLLAPSED
-from caphy.effects.kernels import _compiled, _cross, _deformation, _dot, _hinge
+from caphy.effects.kernels import _compiled, _cross, _deformation, _dot, _hinge, _minus, _turn, _vertex
 
 
 @_compiled
@@ -30,34 +30,70 @@ def scatter(hessian, slots, blocks):
 @_compiled
 def membrane(x, index, hat, area, stress, tangent, slots, blocks):
     """Add A [(w_a^T S w_b) I + B_a^T C B_b] for faces of stress (3, n) and tangent (6, n), as in effects.membrane."""
-    rows, stiff = np.empty((3, 3, 3)), np.empty((3, 3, 3))
+    room = np.empty((2, 3, 3, 3))
     for i in range(index.shape[0]):
         u, v, _, _, _ = _deformation(x, 0, index, hat, i)
-        c00, c11, c22 = tangent[0, i], tangent[1, i], tangent[2, i]
-        c01, c02, c12 = tangent[3, i], tangent[4, i], tangent[5, i]
-        for a in range(3):
-            wu, wv = hat[a, 0, i], hat[a, 1, i]
+        s = (stress[0, i], stress[1, i], stress[2, i])
+        c = (tangent[0, i], tangent[1, i], tangent[2, i], tangent[3, i], tangent[4, i], tangent[5, i])
+        _add_face(i, u, v, hat, area[i], s, c, room, slots, blocks)
+
+
+@_compiled
+def strain_stvk(x, index, hat, area, lame_lambda, lame_mu, projection, slots, blocks):
+    """Add faces of effects.strain_stvk."""
+    room = np.empty((2, 3, 3, 3))
+    direct = lame_lambda + 2.0 * lame_mu
+    tangent = (direct, direct, lame_mu, lame_lambda, 0.0, 0.0)
+    for i in range(index.shape[0]):
+        u, v, uu, vv, uv = _deformation(x, 0, index, hat, i)
+        pressure = lame_lambda * (uu + vv)
+        stress = (pressure + 2.0 * lame_mu * uu, pressure + 2.0 * lame_mu * vv, 2.0 * lame_mu * uv)
+        if projection > 0.0:
+            stress = _tensile(stress, projection)
+        _add_face(i, u, v, hat, area[i], stress, tangent, room, slots, blocks)
+
+
+@_compiled
+def _tensile(stress, share):
+    """A mixture of a stress and, by ``share``, what is left of it without compression; as membrane.positive_part."""
+    uu, vv, uv = stress
+    mean, half = 0.5 * (uu + vv), 0.5 * (uu - vv)
+    radius = sqrt(half * half + uv * uv)
+    low, high = max(mean - radius, 0.0), max(mean + radius, 0.0)
+    middle, ratio = 0.5 * (low + high), 0.5 * (high - low) / max(radius, 1e-300)
+    return (
+        uu + share * (middle + ratio * half - uu),
+        vv + share * (middle - ratio * half - vv),
+        uv + share * (ratio * uv - uv),
+    )
+
+
+@_compiled
+def _add_face(i, u, v, hat, area, stress, tangent, room, slots, blocks):
+    """Add a face whose deformation gradient has the columns u and v."""
+    rows, stiff = room[0], room[1]
+    c00, c11, c22, c01, c02, c12 = tangent
+    for a in range(3):
+        wu, wv = hat[a, 0, i], hat[a, 1, i]
+        for p in range(3):
+            b0, b1, b2 = wu * u[p], wv * v[p], wu * v[p] + wv * u[p]
+            rows[a, 0, p], rows[a, 1, p], rows[a, 2, p] = b0, b1, b2
+            stiff[a, 0, p] = area * (c00 * b0 + c01 * b1 + c02 * b2)
+            stiff[a, 1, p] = area * (c01 * b0 + c11 * b1 + c12 * b2)
+            stiff[a, 2, p] = area * (c02 * b0 + c12 * b1 + c22 * b2)
+    for a in range(3):
+        along = area * (stress[0] * hat[a, 0, i] + stress[2] * hat[a, 1, i])
+        across = area * (stress[2] * hat[a, 0, i] + stress[1] * hat[a, 1, i])
+        for b in range(3):
+            slot = slots[i, a, b]
+            if slot < 0:
+                continue
             for p in range(3):
-                b0, b1, b2 = wu * u[p], wv * v[p], wu * v[p] + wv * u[p]
-                rows[a, 0, p], rows[a, 1, p], rows[a, 2, p] = b0, b1, b2
-                stiff[a, 0, p] = area[i] * (c00 * b0 + c01 * b1 + c02 * b2)
-                stiff[a, 1, p] = area[i] * (c01 * b0 + c11 * b1 + c12 * b2)
-                stiff[a, 2, p] = area[i] * (c02 * b0 + c12 * b1 + c22 * b2)
-        for a in range(3):
-            along = area[i] * (stress[0, i] * hat[a, 0, i] + stress[2, i] * hat[a, 1, i])
-            across = area[i] * (stress[2, i] * hat[a, 0, i] + stress[1, i] * hat[a, 1, i])
-            for b in range(3):
-                slot = slots[i, a, b]
-                if slot < 0:
-                    continue
-                for p in range(3):
-                    for q in range(3):
-                        blocks[slot, p, q] += (
-                            rows[a, 0, p] * stiff[b, 0, q]
-                            + rows[a, 1, p] * stiff[b, 1, q]
-                            + rows[a, 2, p] * stiff[b, 2, q]
-                        )
-                    blocks[slot, p, p] += along * hat[b, 0, i] + across * hat[b, 1, i]
+                for q in range(3):
+                    blocks[slot, p, q] += (
+                        rows[a, 0, p] * stiff[b, 0, q] + rows[a, 1, p] * stiff[b, 1, q] + rows[a, 2, p] * stiff[b, 2, q]
+                    )
+                blocks[slot, p, p] += along * hat[b, 0, i] + across * hat[b, 1, i]
 
 
 @_compiled
@@ -72,29 +108,54 @@ def hinge(x, index, length, area, moment, stiffness, slots, blocks):
     """Add ``moment`` times the second derivative of each angle and ``stiffness`` times the square of its first."""
     slope, turned = np.empty((4, 3)), np.empty((4, 4, 3, 3))
     for i in range(index.shape[0]):
-        edge, wing_c, wing_d, normal_c, normal_d, _ = _hinge(x, 0, index, i)
-        square = max(_dot(edge, edge), (COLLAPSED * length[i]) ** 2)
-        smallest = (COLLAPSED * area[i]) ** 2
-        along_c, along_d = _dot(wing_c, edge) / square, _dot(wing_d, edge) / square
-        at_c = -sqrt(square) / max(_dot(normal_c, normal_c), smallest)
-        at_d = -sqrt(square) / max(_dot(normal_d, normal_d), smallest)
-        for p in range(3):
-            slope[2, p], slope[3, p] = at_c * normal_c[p], at_d * normal_d[p]
-            slope[1, p] = -along_c * slope[2, p] - along_d * slope[3, p]
-            slope[0, p] = (along_c - 1.0) * slope[2, p] + (along_d - 1.0) * slope[3, p]
-        turned[:] = 0.0
-        if moment[i] != 0.0:
-            _second(turned, 2, edge, wing_c, square, smallest, along_c, slope, moment[i])
-            _second(turned, 3, edge, wing_d, square, smallest, along_d, slope, moment[i])
-            _balance(turned)
-        for a in range(4):
-            for b in range(4):
-                slot = slots[i, a, b]
-                if slot < 0:
-                    continue
-                for p in range(3):
-                    for q in range(3):
-                        blocks[slot, p, q] += turned[a, b, p, q] + stiffness[i] * slope[a, p] * slope[b, q]
+        _add_hinge(i, _hinge(x, 0, index, i), length[i], area[i], moment[i], stiffness[i], slope, turned, slots, blocks)
+
+
+@_compiled
+def bending(x, index, stiffness, rest_angle, length, area, projection, slots, blocks):
+    """Add hinges of effects.bending."""
+    slope, turned = np.empty((4, 3)), np.empty((4, 4, 3, 3))
+    for i in range(index.shape[0]):
+        found = _hinge(x, 0, index, i)
+        moment = 2.0 * (1.0 - projection) * stiffness[i] * _turn(found[5], rest_angle[i])
+        _add_hinge(i, found, length[i], area[i], moment, 2.0 * stiffness[i], slope, turned, slots, blocks)
+
+
+@_compiled
+def bending_damping(x, origin, index, stiffness, length, area, projection, slots, blocks):
+    """Add hinges of effects.bending_damping: bending whose rest angles are those of ``origin``."""
+    slope, turned = np.empty((4, 3)), np.empty((4, 4, 3, 3))
+    for i in range(index.shape[0]):
+        found = _hinge(x, 0, index, i)
+        moment = 2.0 * (1.0 - projection) * stiffness[i] * _turn(found[5], _hinge(origin, 0, index, i)[5])
+        _add_hinge(i, found, length[i], area[i], moment, 2.0 * stiffness[i], slope, turned, slots, blocks)
+
+
+@_compiled
+def _add_hinge(i, found, length, area, moment, stiffness, slope, turned, slots, blocks):
+    edge, wing_c, wing_d, normal_c, normal_d, _ = found
+    square = max(_dot(edge, edge), (COLLAPSED * length) ** 2)
+    smallest = (COLLAPSED * area) ** 2
+    along_c, along_d = _dot(wing_c, edge) / square, _dot(wing_d, edge) / square
+    at_c = -sqrt(square) / max(_dot(normal_c, normal_c), smallest)
+    at_d = -sqrt(square) / max(_dot(normal_d, normal_d), smallest)
+    for p in range(3):
+        slope[2, p], slope[3, p] = at_c * normal_c[p], at_d * normal_d[p]
+        slope[1, p] = -along_c * slope[2, p] - along_d * slope[3, p]
+        slope[0, p] = (along_c - 1.0) * slope[2, p] + (along_d - 1.0) * slope[3, p]
+    turned[:] = 0.0
+    if moment != 0.0:
+        _second(turned, 2, edge, wing_c, square, smallest, along_c, slope, moment)
+        _second(turned, 3, edge, wing_d, square, smallest, along_d, slope, moment)
+        _balance(turned)
+    for a in range(4):
+        for b in range(4):
+            slot = slots[i, a, b]
+            if slot < 0:
+                continue
+            for p in range(3):
+                for q in range(3):
+                    blocks[slot, p, q] += turned[a, b, p, q] + stiffness * slope[a, p] * slope[b, q]
 
 
 @_compiled
@@ -137,3 +198,29 @@ def _balance(turned):
     for p in range(3):
         for q in range(3):
             turned[0, 0, p, q] = -(turned[1, 0, p, q] + turned[2, 0, p, q] + turned[3, 0, p, q])
+
+
+@_compiled
+def spring(x, anchor, index, stiffness, projection, slots, blocks):
+    """Add vertex springs of a stiffness [N/m], wherever they are tied to."""
+    for i in range(index.shape[0]):
+        for p in range(3):
+            blocks[slots[i, 0, 0], p, p] += stiffness[i]
+
+
+@_compiled
+def body_contact(x, point, normal, index, area, layer, stiffness, distance, projection, slots, blocks):
+    """Add vertices of effects.body_contact; projected ones, inside the body, wherever projection is not zero."""
+    for i in range(index.shape[0]):
+        a = index[i, 0]
+        away, skin = _vertex(normal, 0, a), distance + layer[i]
+        deep = skin - _dot(away, _minus(_vertex(x, 0, a), _vertex(point, 0, a)))
+        if deep <= 0.0:
+            continue
+        slope = deep
+        if not deep < skin:
+            slope = skin * skin / max(deep, 1e-12) if projection > 0.0 else 0.0
+        slope *= 6.0 * stiffness * area[i]
+        for p in range(3):
+            for q in range(3):
+                blocks[slots[i, 0, 0], p, q] += slope * away[p] * away[q]

@@ -1,45 +1,83 @@
-"""Element Hessians of every effect, added to the 3x3 blocks of a sparse matrix; membranes and hinges by compiled loops.
+"""Element Hessians of every effect, added to the 3x3 blocks of a sparse matrix.
 
-A membrane's follow from its stress and tangent, a hinge's from its moment and stiffness: a few numbers an element.
+The effects that every model has go through compiled loops. Other membranes' follow from their stress and tangent,
+other hinges' from their moment and stiffness: a few numbers an element.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from caphy.effects import block_kernels
-from caphy.effects.base import Elements
+from caphy.effects.attachment import Attachment
+from caphy.effects.base import BodyState, Effect, Elements, Step
+from caphy.effects.bending import Bending
+from caphy.effects.bending_damping import BendingDamping
+from caphy.effects.body_contact import BodyContact
+from caphy.effects.compiled import KERNELS, Bound
+from caphy.effects.gravity import Gravity
 from caphy.effects.hinge import Hinge
+from caphy.effects.inertia import Inertia
 from caphy.effects.membrane import Deformation, Membrane
-from caphy.effects.potential import Term
+from caphy.effects.potential import Potential, Term
+from caphy.effects.strain_stvk import StrainStVK
+
+COMPILED: Mapping[type[Effect], Callable | None] = {
+    StrainStVK: block_kernels.strain_stvk,
+    Bending: block_kernels.bending,
+    BendingDamping: block_kernels.bending_damping,
+    Inertia: block_kernels.spring,
+    Attachment: block_kernels.spring,
+    BodyContact: block_kernels.body_contact,
+    Gravity: None,
+}
+"""Loops that add the Hessians of effects, called with what :data:`caphy.effects.compiled.KERNELS` says; None where
+there is nothing to add."""
 
 
 def add_blocks(
-    term: Term, elements: Elements, x: np.ndarray, projection: float, slots: np.ndarray, blocks: np.ndarray
+    potential: Potential,
+    term: Term,
+    x: Tensor,
+    step: Step | None,
+    body: BodyState | None,
+    projection: float,
+    slots: np.ndarray,
+    blocks: np.ndarray,
 ) -> None:
     """Add an effect's element Hessians to ``blocks`` (B, 3, 3) [N/m].
 
     Args:
-        term, elements: the effect and its elements at x.
-        x: positions (V, 3) [m].
+        potential, term: the effect, and what it is a part of.
+        x, step, body: positions (V, 3) [m] and the situation.
         projection: 0 for exact Hessians, 1 for positive semi-definite ones, in between a mixture. Vertices' are
             exact or not.
         slots: places among the blocks of the pairs of an element's corners (n, k, k), -1 where not stored.
     """
     effect = type(term.effect)
+    if effect in COMPILED:
+        if (loop := COMPILED[effect]) is not None:
+            _, fields, constants = KERNELS[effect](Bound(term.index, term.rest, term.values, step, body))
+            loop(*(_array(f)[None] for f in (x, *fields)), *map(_array, constants), float(projection), slots, blocks)
+        return
+    elements = potential.elements(term, x, step, body)
     if issubclass(effect, Membrane) and effect.hessian is Membrane.hessian:
-        _add_membrane(term, elements, x, projection, slots, blocks)
+        _add_membrane(term, elements, _array(x), projection, slots, blocks)
     elif issubclass(effect, Hinge) and effect.hessian is Hinge.hessian:
-        _add_hinge(term, elements, x, projection, slots, blocks)
+        _add_hinge(term, elements, _array(x), projection, slots, blocks)
     else:
         hessians = (term.effect.hessian, term.effect.projected_hessian)
         mixture = projection if term.effect.element != "vertex" else float(projection > 0)
         found = _mixed(lambda convex: hessians[convex](elements, term.values), mixture)
         block_kernels.scatter(found, slots, blocks)
+
+
+def _array(value: Tensor | float) -> np.ndarray | float:
+    return value.detach().contiguous().numpy() if isinstance(value, Tensor) else value
 
 
 def _add_membrane(term: Term, e: Elements, x: np.ndarray, projection: float, slots, blocks) -> None:

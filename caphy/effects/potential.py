@@ -114,10 +114,11 @@ class Potential:
 
     def acting(self, x: Tensor, step: Step | None, body: BodyState | None) -> Iterator[tuple[str, Term, Elements]]:
         """The terms that act in this situation with their elements."""
-        for name, term in self._present(step, body):
+        for name, term in self.present(step, body):
             yield name, term, self.elements(term, x, step, body)
 
-    def _present(self, step: Step | None, body: BodyState | None) -> Iterator[tuple[str, Term]]:
+    def present(self, step: Step | None, body: BodyState | None) -> Iterator[tuple[str, Term]]:
+        """The terms that act in this situation."""
         for name, term in self.terms.items():
             if (step is None and term.effect.needs_step) or (body is None and term.effect.needs_body):
                 continue
@@ -135,7 +136,7 @@ class Potential:
         self._check(x)
         x = x.detach().contiguous()
         energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
-        for _, term in self._present(step, body):
+        for _, term in self.present(step, body):
             kernel = KERNELS.get(type(term.effect)) if x.device.type == "cpu" else None
             if kernel is not None:
                 accumulate(kernel(Bound(term.index, term.rest, term.values, step, body)), x, energy, gradient)

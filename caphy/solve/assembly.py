@@ -47,9 +47,9 @@ class Hessian:
 
         With ``projection`` 1 every element is positive semi-definite, with 0 all are exact, in between a mixture.
         """
-        blocks, positions = np.zeros((len(self._row), 3, 3)), x.detach().contiguous().numpy()
-        for name, term, elements in self.potential.acting(x, step, body):
-            add_blocks(term, elements, positions, projection, self._slots[name], blocks)
+        blocks = np.zeros((len(self._row), 3, 3))
+        for name, term in self.potential.present(step, body):
+            add_blocks(self.potential, term, x.detach(), step, body, projection, self._slots[name], blocks)
         blocks[self._cleared] = 0
         blocks[self._held] = np.eye(3)
         return blocks

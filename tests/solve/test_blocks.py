@@ -1,14 +1,16 @@
 """Compiled element Hessians against those of the effects themselves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from caphy.effects.base import Step
 from caphy.effects.bending import bending_stiffness
 from caphy.effects.blocks import add_blocks
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
+from caphy.effects.trial import moment
 
 ELASTIC = ["strain_stvk", "strain_measured", "bending", "bending_measured"]
 
@@ -20,14 +22,14 @@ def assembled(index, blocks, count):
     return dense.swapaxes(1, 2).reshape(3 * count, 3 * count)
 
 
-@pytest.mark.parametrize("name", [*ELASTIC, "inertia"])
+@pytest.mark.parametrize("name", [*ELASTIC, "bending_damping", "inertia", "gravity", "attachment", "body_contact"])
 @pytest.mark.parametrize("projection", [0.0, 0.3, 1.0])
 def test_compiled_blocks_are_the_effects_own(sheet, name, projection):
-    cloth = sheet(0.4, 0.3, 5, 4)
+    cloth = replace(sheet(0.4, 0.3, 5, 4), attached=np.linspace(0, 1, 20))
     potential = Potential(Model(0.2, {name: {}}), cloth)
-    rng = np.random.default_rng(5)
-    x = torch.from_numpy(cloth.vertices + 0.03 * rng.normal(size=cloth.vertices.shape))
-    ((_, term, elements),) = potential.acting(x, Step.implicit_euler(1 / 30, x, x), None)
+    at = moment(cloth, noise=0.03)
+    x, step, body = at.x, at.step, at.body
+    ((_, term, elements),) = potential.acting(x, step, body)
     exact, convex = term.effect.hessian(elements, term.values), term.effect.projected_hessian(elements, term.values)
     mixture = torch.lerp(exact, convex, float(projection > 0) if term.effect.element == "vertex" else projection)
     index = term.index.numpy()
@@ -35,7 +37,7 @@ def test_compiled_blocks_are_the_effects_own(sheet, name, projection):
     expected = assembled(index, mixture.numpy().transpose(4, 0, 2, 1, 3), count)
     slots = (index[:, :, None] * count + index[:, None, :]).astype(np.int32)
     blocks = np.zeros((count * count, 3, 3))
-    add_blocks(term, elements, x.numpy(), projection, slots, blocks)
+    add_blocks(potential, term, x, step, body, projection, slots, blocks)
     found = blocks.reshape(count, count, 3, 3).swapaxes(1, 2).reshape(3 * count, 3 * count)
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
 
@@ -44,9 +46,9 @@ def test_only_stored_pairs_are_written(sheet):
     cloth = sheet(0.4, 0.3, 4, 3)
     potential = Potential(Model(0.2, {"bending": {}}), cloth)
     x = torch.from_numpy(cloth.vertices)
-    ((_, term, elements),) = potential.acting(x, None, None)
+    term = potential.terms["bending"]
     blocks = np.zeros((1, 3, 3))
-    add_blocks(term, elements, x.numpy(), 1.0, np.full((len(term.index), 4, 4), -1, np.int32), blocks)
+    add_blocks(potential, term, x, None, None, 1.0, np.full((len(term.index), 4, 4), -1, np.int32), blocks)
     assert not blocks.any()
 
 
