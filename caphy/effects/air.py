@@ -52,27 +52,20 @@ class Air(Effect):
         return None
 
     def energy(self, e: Elements, p: Values) -> Tensor:
-        assert e.dt is not None
-        normal = lagged_normal(e)
-        velocity, push = e.velocity.mean(0), self.push(e, p)
-        density = torch.zeros_like(velocity[0])
-        if self.power:
-            speed = norm(self._slip(e, p, normal, velocity))
-            density = p["coefficient"] / (self.power + 1) * speed ** (self.power + 1)
-        if push is not None:
-            density = density - dot(push, self._projected(velocity, normal))
-        return e.dt * e.rest["area"] * density
+        normal, velocity, push = lagged_normal(e), e.velocity.mean(0), self.push(e, p)
+        slip = self._slip(e, p, normal, velocity) if self.power else None
+        return self._dissipated(e, p, normal, velocity, push, slip)
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
-        normal, push = lagged_normal(e), self.push(e, p)
-        force = torch.zeros_like(normal)
+        normal, velocity, push = lagged_normal(e), e.velocity.mean(0), self.push(e, p)
+        force, slip = torch.zeros_like(normal), None
         if self.power:
-            slip = self._slip(e, p, normal, e.velocity.mean(0))
+            slip = self._slip(e, p, normal, velocity)
             force = p["coefficient"] * norm(slip) ** (self.power - 1) * slip
         if push is not None:
             force = force - self._projected(push, normal)
         force = e.rest["area"] / 3 * force
-        return self.energy(e, p), torch.stack([force, force, force])
+        return self._dissipated(e, p, normal, velocity, push, slip), torch.stack([force, force, force])
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
         """Positive semi-definite: of the dissipation, which is convex; a push has none."""
@@ -93,6 +86,18 @@ class Air(Effect):
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         return self.hessian(e, p)
+
+    def _dissipated(
+        self, e: Elements, p: Values, normal: Tensor, velocity: Tensor, push: Tensor | None, slip: Tensor | None
+    ) -> Tensor:
+        """The energy (..., n) [J]."""
+        assert e.dt is not None
+        density = torch.zeros_like(velocity[0])
+        if slip is not None:
+            density = p["coefficient"] / (self.power + 1) * norm(slip) ** (self.power + 1)
+        if push is not None:
+            density = density - dot(push, self._projected(velocity, normal))
+        return e.dt * e.rest["area"] * density
 
     def _slip(self, e: Elements, p: Values, normal: Tensor, velocity: Tensor) -> Tensor:
         wind = self.wind(e, p)
@@ -116,12 +121,22 @@ def squared(found: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 def lagged_normal(e: Elements) -> Tensor:
     """Unit normals (3, ..., n) of faces at the last converged state; zero without area."""
-    across = 2 * lagged_area(e)
-    return across / norm(across)
+    assert e.lagged is not None
+    return e.once("lagged_normal", e.lagged, lambda lagged: _unit(area_vector(lagged)))
 
 
 def lagged_area(e: Elements) -> Tensor:
     """Area vectors (3, ..., n) [m^2] of faces at the last converged state."""
     assert e.lagged is not None
-    a, b, c = e.lagged
+    return e.once("lagged_area", e.lagged, area_vector)
+
+
+def area_vector(x: Tensor) -> Tensor:
+    """Area vectors (3, ..., n) [m^2] of faces at positions (3, 3, ..., n) [m]."""
+    a, b, c = x
     return 0.5 * cross(b - a, c - a)
+
+
+def _unit(area: Tensor) -> Tensor:
+    across = 2 * area
+    return across / norm(across)

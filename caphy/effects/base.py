@@ -56,6 +56,10 @@ class Parameter:
     doc: str = ""
 
 
+HISTORY = ("origin", "target", "lagged", "lagged_velocity")
+"""What a step remembers."""
+
+
 @dataclass(frozen=True)
 class Step:
     """One incremental step of the dynamics, the same for every integrator.
@@ -86,8 +90,7 @@ class Step:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Step:
         """This step with a function applied to each of its vertex fields."""
-        fields = (self.origin, self.target, self.lagged, self.lagged_velocity)
-        return Step(self.dt, *map(function, fields), time=self.time)
+        return Step(self.dt, *(function(getattr(self, field)) for field in HISTORY), time=self.time)
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,7 @@ class Elements:
         origin, target, lagged, lagged_velocity: as in :class:`Step`, each (k, 3, ..., n); None in statics.
         time: when the step ends [s]; None in statics.
         body: as in :class:`BodyState`, name -> (3, ..., n); only for effects that read the body.
+        known: what was worked out of the history before, name -> what it was worked out of and the result.
     """
 
     x: Tensor
@@ -133,6 +137,16 @@ class Elements:
     lagged_velocity: Tensor | None = None
     time: float | Tensor | None = None
     body: Mapping[str, Tensor] | None = None
+    known: dict[str, tuple[Tensor, Tensor]] | None = None
+
+    def once(self, name: str, past: Tensor, work_out: Callable[[Tensor], Tensor]) -> Tensor:
+        """What follows from a field of the history and constants alone; not worked out again while a step lasts."""
+        kept = None if self.known is None else self.known.get(name)
+        if kept is None or kept[0] is not past:
+            kept = past, work_out(past)
+            if self.known is not None:
+                self.known[name] = kept
+        return kept[1]
 
     @property
     def velocity(self) -> Tensor:

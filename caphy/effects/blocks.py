@@ -62,7 +62,8 @@ def add_blocks(
     if effect in COMPILED:
         if (loop := COMPILED[effect]) is not None:
             _, fields, constants = KERNELS[effect](Bound(term.index, term.rest, term.values, step, body))
-            loop(*(_array(f)[None] for f in (x, *fields)), *map(_array, constants), float(projection), slots, blocks)
+            fixed = (_array(value) if isinstance(value, Tensor) else value for value in constants)
+            loop(*(_array(field)[None] for field in (x, *fields)), *fixed, float(projection), slots, blocks)
         return
     elements = potential.elements(term, x, step, body)
     if issubclass(effect, Membrane) and effect.hessian is Membrane.hessian:
@@ -76,8 +77,8 @@ def add_blocks(
         block_kernels.scatter(found, slots, blocks)
 
 
-def _array(value: Tensor | float) -> np.ndarray | float:
-    return value.detach().contiguous().numpy() if isinstance(value, Tensor) else value
+def _array(value: Tensor) -> np.ndarray:
+    return value.detach().contiguous().numpy()
 
 
 def _add_membrane(term: Term, e: Elements, x: np.ndarray, projection: float, slots, blocks) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from caphy.effects.base import BodyState, Effect, Elements, Step, Values
+from caphy.effects.base import HISTORY, BodyState, Effect, Elements, Step, Values
 from caphy.effects.cloth import Cloth
 from caphy.effects.compiled import KERNELS, Bound, accumulate
 from caphy.effects.model import Model
@@ -76,6 +77,7 @@ class Potential:
         self.model, self.dtype, self.device = model, dtype, torch.device(device)
         self.cloth = cloth if cloth.density == model.density else replace(cloth, density=model.density)
         self.terms = {name: self._bind(name) for name in model.effects}
+        self._histories: dict[str, tuple[Step, dict[str, Any]]] = {}
 
     def _bind(self, name: str) -> Term:
         effect = find_effect(name)
@@ -99,18 +101,22 @@ class Potential:
 
         moving = {}
         if step is not None and (term.effect.needs_step or term.effect.reads_step):
-            moving = {
-                "dt": step.dt,
-                "origin": gathered(step.origin),
-                "target": gathered(step.target),
-                "lagged": gathered(step.lagged),
-                "lagged_velocity": gathered(step.lagged_velocity),
-                "time": step.time,
-            }
+            moving = self._history(term, step)
         seen = None
         if body is not None and term.effect.needs_body:
             seen = {key: gathered(value)[0] for key, value in vars(body).items()}
         return Elements(gathered(x), term.rest, body=seen, **moving)
+
+    def _history(self, term: Term, step: Step) -> dict[str, Any]:
+        """What the elements of a term are told of a step; a solver asks for that of the same one again and again."""
+        name = term.effect.name
+        if (kept := self._histories.get(name)) is not None and kept[0] is step:
+            return kept[1]
+        fields = {key: term.gather(planes(getattr(step, key))) for key in HISTORY}
+        told = {"dt": step.dt, "time": step.time, "known": {}, **fields}
+        if step.origin.dim() == 2:  # batches of frames take room, and come once
+            self._histories[name] = step, told
+        return told
 
     def acting(self, x: Tensor, step: Step | None, body: BodyState | None) -> Iterator[tuple[str, Term, Elements]]:
         """The terms that act in this situation with their elements."""

@@ -19,7 +19,7 @@ import torch
 from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
-from caphy.effects.base import BodyState, Elements, Step
+from caphy.effects.base import HISTORY, BodyState, Elements, Step
 from caphy.effects.inertia import Inertia
 from caphy.effects.potential import Potential, Term, planes
 from caphy.measure.scene import Scene
@@ -27,9 +27,6 @@ from caphy.refit.columns import Column, forces
 from caphy.solve.integrators import Integrator, Solve, State
 from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
-
-HISTORY = ("origin", "target", "lagged", "lagged_velocity")
-"""What a step remembers."""
 
 _NUDGE = 1e-9  # metres by which a history is moved to see what it does: friction bends within 1e-6
 _FEW = 12  # columns up to which differences along each cost less than a matrix

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from caphy.solve.lapack import call
+
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
 _fast = numba.njit(
     cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy", boundscheck=False
@@ -28,6 +30,8 @@ def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, s
     letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
     integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0, 0.0], panels.dtype)
     letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
+    no, turned = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED)
+    right, lower = letter + np.uint64(RIGHT), letter + np.uint64(LOWER)
     for f in range(len(width)):
         own, size = 3 * width[f], 3 * height[f]
         rest = size - own
@@ -47,36 +51,13 @@ def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, s
         integers[0], integers[1], integers[2] = own, rest, size
         at = dense.ctypes.data
         n, m, ld, info = integer, integer + np.uint64(4), integer + np.uint64(8), integer + np.uint64(12)
-        potrf(letter + np.uint64(LOWER), n, at, ld, info)
+        call(potrf, (lower, n, at, ld, info))
         if integers[3] != 0:
             return False
         if rest > 0:
             below = at + item * np.uint64(own)
-            trsm(
-                letter + np.uint64(RIGHT),
-                letter + np.uint64(LOWER),
-                letter + np.uint64(TRANSPOSED),
-                letter + np.uint64(NO),
-                m,
-                n,
-                scalar,
-                at,
-                ld,
-                below,
-                ld,
-            )
-            syrk(
-                letter + np.uint64(LOWER),
-                letter + np.uint64(NO),
-                m,
-                n,
-                scalar + item,
-                below,
-                ld,
-                scalar + item + item,
-                passed.ctypes.data,
-                m,
-            )
+            call(trsm, (right, lower, turned, no, m, n, scalar, at, ld, below, ld))
+            call(syrk, (lower, no, m, n, scalar + item, below, ld, scalar + item + item, passed.ctypes.data, m))
             for c in range(child_start[f], child_start[f + 1]):
                 kid = child[c]
                 own_kid = 3 * (height[kid] - width[kid])
@@ -165,10 +146,10 @@ def solve_many(right, fronts, first, start, rows, panels, trsm, gemm):
         rest = size - own
         integers[0], integers[1], integers[2], integers[3], integers[4] = own, rest, size, count, total
         at, mine = panels.ctypes.data + item * np.uint64(panel[f]), right.ctypes.data + item * np.uint64(3 * first[f])
-        trsm(left, lower, no, no, n, k, one, at, ld, mine, whole)
+        call(trsm, (left, lower, no, no, n, k, one, at, ld, mine, whole))
         if rest > 0:
             below = at + item * np.uint64(own)
-            gemm(no, no, m, k, n, one, below, ld, mine, whole, none, work.ctypes.data, m)
+            call(gemm, (no, no, m, k, n, one, below, ld, mine, whole, none, work.ctypes.data, m))
             for c in range(count):
                 for i in range(width[f], height[f]):
                     for p in range(3):
@@ -184,5 +165,5 @@ def solve_many(right, fronts, first, start, rows, panels, trsm, gemm):
                 for i in range(width[f], height[f]):
                     for p in range(3):
                         work[c * rest + 3 * i - own + p] = right[c, 3 * rows[start[f] + i] + p]
-            gemm(turned, no, n, k, m, minus, below, ld, work.ctypes.data, m, one, mine, whole)
-        trsm(left, lower, turned, no, n, k, one, at, ld, mine, whole)
+            call(gemm, (turned, no, n, k, m, minus, below, ld, work.ctypes.data, m, one, mine, whole))
+        call(trsm, (left, lower, turned, no, n, k, one, at, ld, mine, whole))

@@ -2,38 +2,44 @@
 
 from __future__ import annotations
 
-import numba.experimental.function_type  # registers the type of routines  # noqa: F401
+from collections.abc import Callable
+
 import numpy as np
-from numba import types
-from numba.extending import get_cython_function_address
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import get_cython_function_address, intrinsic
 
 
-class Routine(types.WrapperAddressProtocol):
-    """A routine, to be passed to a compiled function; its arguments are addresses, as Fortran wants them.
+def _call(typingctx, routine, arguments):
+    """Call a ``routine`` that returns nothing with a tuple of ``arguments``, addresses, as Fortran wants them.
 
-    Passing it, instead of referring to it, lets the compiled function be cached: addresses differ between processes.
+    Routines are passed to compiled functions as numbers, their addresses. Referring to one would keep the compiled
+    function from being cached, since addresses differ between processes; and telling the type of one that is passed
+    as an object takes longer than the work on a small front.
     """
 
-    def __init__(self, module: str, name: str, arguments: int) -> None:
-        self._address = get_cython_function_address(f"scipy.linalg.{module}", name)
-        self._signature = types.void(*[types.uintp] * arguments)
+    def code(context, builder, signature, values):
+        address, packed = values
+        each = cgutils.unpack_tuple(builder, packed)
+        kind = ir.FunctionType(ir.VoidType(), [value.type for value in each])
+        builder.call(builder.inttoptr(address, kind.as_pointer()), each)
+        return context.get_dummy_value()
 
-    def __wrapper_address__(self) -> int:
-        return self._address
-
-    def signature(self):
-        """The type of the routine."""
-        return self._signature
+    return types.void(routine, arguments), code
 
 
-def _precisions(module: str, name: str, arguments: int) -> dict[type, Routine]:
+call: Callable[..., None] = intrinsic(_call)
+"""To be called by compiled code."""
+
+
+def _precisions(module: str, name: str) -> dict[type, np.uint64]:
     return {
-        np.float32: Routine(module, "s" + name, arguments),
-        np.float64: Routine(module, "d" + name, arguments),
+        dtype: np.uint64(get_cython_function_address(f"scipy.linalg.{module}", letter + name))
+        for dtype, letter in ((np.float32, "s"), (np.float64, "d"))
     }
 
 
-POTRF = _precisions("cython_lapack", "potrf", 5)
-TRSM = _precisions("cython_blas", "trsm", 11)
-SYRK = _precisions("cython_blas", "syrk", 10)
-GEMM = _precisions("cython_blas", "gemm", 13)
+POTRF = _precisions("cython_lapack", "potrf")
+TRSM = _precisions("cython_blas", "trsm")
+SYRK = _precisions("cython_blas", "syrk")
+GEMM = _precisions("cython_blas", "gemm")
