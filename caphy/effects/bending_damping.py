@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.hinge import Hinge, dihedral, turn
+from caphy.effects.hinge import Hinge, dihedral, dihedral_gradient, turn
 
 
 class BendingDamping(Hinge):
@@ -27,6 +27,12 @@ class BendingDamping(Hinge):
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
         assert e.origin is not None and e.dt is not None
         return damping_stiffness(e.rest, p, e.dt) * turn(angle, dihedral(e.origin)) ** 2
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
+        moment, _ = self.response(angle, e, p)
+        assert e.origin is not None
+        return 0.5 * moment * turn(angle, dihedral(e.origin)), moment * slope
 
     def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
         """Moment [N m] and its slope [N m] at angles (..., n) [rad], in closed form."""

@@ -105,7 +105,9 @@ def accumulate(arguments: Arguments, x: Tensor, energy: Tensor, gradient: Tensor
     kernel, fields, constants = arguments
 
     def frames(field: Tensor) -> np.ndarray:
-        return field.detach().to(x).expand_as(x).reshape(-1, *x.shape[-2:]).contiguous().numpy()
+        if field.shape != x.shape or field.dtype != x.dtype:
+            field = field.to(x).expand_as(x)
+        return field.detach().reshape(-1, *x.shape[-2:]).contiguous().numpy()
 
     moving = [frames(x), *map(frames, fields)]
     fixed = [value.detach().contiguous().numpy() if isinstance(value, Tensor) else value for value in constants]
