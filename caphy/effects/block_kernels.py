@@ -106,98 +106,102 @@ def angles(x, index, found):
 @_compiled
 def hinge(x, index, length, area, moment, stiffness, slots, blocks):
     """Add ``moment`` times the second derivative of each angle and ``stiffness`` times the square of its first."""
-    slope, turned = np.empty((4, 3)), np.empty((4, 4, 3, 3))
+    slope = np.empty((4, 3))
     for i in range(index.shape[0]):
-        _add_hinge(i, _hinge(x, 0, index, i), length[i], area[i], moment[i], stiffness[i], slope, turned, slots, blocks)
+        _add_hinge(_hinge(x, 0, index, i), length[i], area[i], moment[i], stiffness[i], slope, slots[i], blocks)
 
 
 @_compiled
 def bending(x, index, stiffness, rest_angle, length, area, projection, slots, blocks):
     """Add hinges of effects.bending."""
-    slope, turned = np.empty((4, 3)), np.empty((4, 4, 3, 3))
+    slope = np.empty((4, 3))
     for i in range(index.shape[0]):
         found = _hinge(x, 0, index, i)
         moment = 2.0 * (1.0 - projection) * stiffness[i] * _turn(found[5], rest_angle[i])
-        _add_hinge(i, found, length[i], area[i], moment, 2.0 * stiffness[i], slope, turned, slots, blocks)
+        _add_hinge(found, length[i], area[i], moment, 2.0 * stiffness[i], slope, slots[i], blocks)
 
 
 @_compiled
 def bending_damping(x, origin, index, stiffness, length, area, projection, slots, blocks):
     """Add hinges of effects.bending_damping: bending whose rest angles are those of ``origin``."""
-    slope, turned = np.empty((4, 3)), np.empty((4, 4, 3, 3))
+    slope = np.empty((4, 3))
     for i in range(index.shape[0]):
         found = _hinge(x, 0, index, i)
         moment = 2.0 * (1.0 - projection) * stiffness[i] * _turn(found[5], _hinge(origin, 0, index, i)[5])
-        _add_hinge(i, found, length[i], area[i], moment, 2.0 * stiffness[i], slope, turned, slots, blocks)
+        _add_hinge(found, length[i], area[i], moment, 2.0 * stiffness[i], slope, slots[i], blocks)
 
 
 @_compiled
-def _add_hinge(i, found, length, area, moment, stiffness, slope, turned, slots, blocks):
+def _add_hinge(found, length, area, moment, stiffness, slope, slots, blocks):
     edge, wing_c, wing_d, normal_c, normal_d, _ = found
     square = max(_dot(edge, edge), (COLLAPSED * length) ** 2)
-    smallest = (COLLAPSED * area) ** 2
+    smallest, reach = (COLLAPSED * area) ** 2, sqrt(square)
     along_c, along_d = _dot(wing_c, edge) / square, _dot(wing_d, edge) / square
-    at_c = -sqrt(square) / max(_dot(normal_c, normal_c), smallest)
-    at_d = -sqrt(square) / max(_dot(normal_d, normal_d), smallest)
+    at_c = -reach / max(_dot(normal_c, normal_c), smallest)
+    at_d = -reach / max(_dot(normal_d, normal_d), smallest)
     for p in range(3):
         slope[2, p], slope[3, p] = at_c * normal_c[p], at_d * normal_d[p]
         slope[1, p] = -along_c * slope[2, p] - along_d * slope[3, p]
         slope[0, p] = (along_c - 1.0) * slope[2, p] + (along_d - 1.0) * slope[3, p]
-    turned[:] = 0.0
-    if moment != 0.0:
-        _second(turned, 2, edge, wing_c, square, smallest, along_c, slope, moment)
-        _second(turned, 3, edge, wing_d, square, smallest, along_d, slope, moment)
-        _balance(turned)
     for a in range(4):
         for b in range(4):
-            slot = slots[i, a, b]
-            if slot < 0:
-                continue
-            for p in range(3):
-                for q in range(3):
-                    blocks[slot, p, q] += turned[a, b, p, q] + stiffness * slope[a, p] * slope[b, q]
+            slot = slots[a, b]
+            if slot >= 0:
+                for p in range(3):
+                    for q in range(3):
+                        blocks[slot, p, q] += stiffness * slope[a, p] * slope[b, q]
+    if moment != 0.0:
+        edge = (edge[0] / reach, edge[1] / reach, edge[2] / reach)
+        _add_second(2, edge, reach, normal_c, _cross(normal_c, edge), along_c, smallest, moment, slots, blocks)
+        _add_second(3, edge, reach, normal_d, _cross(edge, normal_d), along_d, smallest, moment, slots, blocks)
 
 
 @_compiled
-def _second(turned, wing, edge, arm, square, smallest, along, slope, moment):
+def _add_second(wing, edge, reach, normal, inward, along, smallest, moment, slots, blocks):
     """Add what one triangle of a hinge contributes to ``moment`` times the angle's second derivative.
 
-    A wing's slope is g = -|e| N / |N|^2 with N = e x w, and the edge's ends have -t g and (t - 1) g with
-    t = w.e / |e|^2; so all follows from dg/de and dg/dw, and translations change nothing. Where the triangle has
-    collapsed nothing is added.
+    With the unit vectors e along the edge, n across the triangle and m = n x e towards its wing, its height h, the
+    edge's length l and the wing's place t along it, the wing's slope is -n / h, and
+
+        dn = -m (n.dw) / h + (t m / h - e / l) (n.de),    dh = m.(dw - t de)
+
+    for moves dw of the wing and de of the edge's second end, both against its first. So the edge's ends and the wing,
+    in that order, have the blocks
+
+        (u u^T + h^2 / (2 l^2) s s^T) S + u s^T E + s u^T E^T,    u = (t - 1, -t, 1), s = (-1, 1, 0),
+
+    with S = (m n^T + n m^T) / h^2 and E = e n^T / (h l). A part m n^T - n m^T of the edge's own is left out, since the
+    hinge's other triangle has the opposite. Where the triangle has collapsed nothing is added.
     """
-    normal = _cross(edge, arm)
     area = _dot(normal, normal)
     if area <= smallest:
         return
-    sign = moment if wing == 2 else -moment
-    reach = sqrt(square)
-    scale = sign * reach / area
-    for q in range(3):
-        unit = (1.0 if q == 0 else 0.0, 1.0 if q == 1 else 0.0, 1.0 if q == 2 else 0.0)
-        by_edge, by_arm = _cross(unit, arm), _cross(edge, unit)  # dN
-        twice_edge, twice_arm = 2.0 * _dot(normal, by_edge) / area, 2.0 * _dot(normal, by_arm) / area
-        grown = edge[q] / square
-        by_along = arm[q] / square - 2.0 * along * grown
-        for p in range(3):
-            on_edge = scale * (twice_edge * normal[p] - by_edge[p] - grown * normal[p])
-            turned[wing, 1, p, q] += on_edge
-            turned[1, wing, q, p] += on_edge
-            turned[wing, wing, p, q] += scale * (twice_arm * normal[p] - by_arm[p])
-            turned[1, 1, p, q] -= moment * slope[wing, p] * by_along + along * on_edge
+    height = sqrt(area) / reach
+    outer, cross = moment / (area * height * height), moment / (sqrt(area) * height * reach)
+    both = 0.5 * (height / reach) ** 2
+    for j in range(3):
+        a, u_a, s_a = _corner(j, wing, along)
+        for k in range(3):
+            b, u_b, s_b = _corner(k, wing, along)
+            slot = slots[a, b]
+            if slot < 0:
+                continue
+            same, here, there = outer * (u_a * u_b + both * s_a * s_b), cross * u_a * s_b, cross * s_a * u_b
+            for p in range(3):
+                along_normal = same * inward[p] + here * edge[p]
+                along_inward, along_edge = same * normal[p], there * normal[p]
+                for q in range(3):
+                    blocks[slot, p, q] += along_normal * normal[q] + along_inward * inward[q] + along_edge * edge[q]
 
 
 @_compiled
-def _balance(turned):
-    """Fill in the edge's first end: a translation changes nothing."""
-    for b in range(1, 4):
-        for p in range(3):
-            for q in range(3):
-                turned[0, b, p, q] = -(turned[1, b, p, q] + turned[2, b, p, q] + turned[3, b, p, q])
-                turned[b, 0, q, p] = turned[0, b, p, q]
-    for p in range(3):
-        for q in range(3):
-            turned[0, 0, p, q] = -(turned[1, 0, p, q] + turned[2, 0, p, q] + turned[3, 0, p, q])
+def _corner(j, wing, along):
+    """Of the ends of an edge and a wing, the place in the hinge, and u and s as in :func:`_add_second`."""
+    if j == 0:
+        return 0, along - 1.0, -1.0
+    if j == 1:
+        return 1, -along, 1.0
+    return wing, 1.0, 0.0
 
 
 @_compiled
