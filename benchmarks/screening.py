@@ -68,7 +68,7 @@ def main() -> None:
             flush=True,
         )
         began = time.process_time()
-        columns = _some(study, stage.model)
+        columns = _some(Study([Scene.of(measurement) for measurement in measured]), stage.model)
         print(f"  {FEW} explanations with {columns} numbers alone: {time.process_time() - began:.0f} s", flush=True)
 
 

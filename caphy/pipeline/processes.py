@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -10,6 +11,8 @@ from collections.abc import Sequence
 
 from caphy.errors import CaphyError
 
+_TELL_OF_PARENTS_DEATH = 1  # PR_SET_PDEATHSIG
+
 
 def run_shared(words: Sequence[str], processes: int) -> int:
     """Run ``caphy`` with arguments ``words`` in processes that find each other, and pass on what they print.
@@ -17,7 +20,7 @@ def run_shared(words: Sequence[str], processes: int) -> int:
     Returns:
         The exit status; 130 if it was interrupted, once all processes have ended.
     """
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    torchrun = [sys.executable, "-m", __name__, "--standalone", "--nproc-per-node", str(processes)]
     command = [*torchrun, "-m", "caphy.cli", *words]
     environment = {"OMP_NUM_THREADS": "1"} | os.environ  # what torchrun sets, without its telling so
     try:
@@ -35,3 +38,16 @@ def run_shared(words: Sequence[str], processes: int) -> int:
             return running.wait()
     except OSError as error:
         raise CaphyError(f"cannot start {processes} processes with {sys.executable}: {error}") from error
+
+
+def _torchrun() -> None:
+    """torchrun that is told to end when its parent is killed, however: nobody else would end its processes."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_TELL_OF_PARENTS_DEATH, signal.SIGTERM)
+    from torch.distributed.run import main
+
+    main()
+
+
+if __name__ == "__main__":
+    _torchrun()

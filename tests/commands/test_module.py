@@ -8,7 +8,7 @@ import sys
 
 def test_the_package_runs_as_the_command_does() -> None:
     ran = [
-        subprocess.run([sys.executable, "-m", "caphy", *words], capture_output=True, text=True, timeout=60)
+        subprocess.run([sys.executable, "-m", "caphy", *words], capture_output=True, text=True, check=False)
         for words in (["--help"], ["fly"])
     ]
     assert ran[0].returncode == 0 and "usage: caphy COMMAND" in ran[0].stdout

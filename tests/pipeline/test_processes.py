@@ -1,5 +1,11 @@
 """Trainings of ``caphy fit`` that several processes share."""
 
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -52,3 +58,29 @@ def test_what_a_process_refuses_is_told(training, tmp_path, capsys):
 def test_streams_must_divide(tmp_path, capsys):
     assert main(["fit", str(tmp_path), "-o", str(tmp_path / "run"), "--processes", "3"]) == 2
     assert "--processes must divide the 8 streams" in capsys.readouterr().err
+
+
+def running_with(word: str) -> list[str]:
+    """Command lines of all processes that have a word among their arguments."""
+    lines = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            lines.append(path.read_text().replace("\0", " "))
+        except OSError:  # it has ended
+            continue
+    return [line for line in lines if word in line]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells processes that their parent has ended")
+def test_processes_end_when_their_parent_is_killed(training, tmp_path):
+    words = [*training[:3], "--steps", "1000000", "-o", str(tmp_path / "endless")]
+    script = f"from caphy.pipeline.processes import run_shared; run_shared({words!r}, 2)"
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        parent.stdout.readline()
+        assert len(running_with(words[-1])) == 4  # the parent, torchrun and its two
+        parent.send_signal(signal.SIGKILL)
+    until = time.monotonic() + 6  # at its next word, into a pipe that nobody reads, it would end after twice that
+    while left := running_with(words[-1]):
+        assert time.monotonic() < until, left
+        time.sleep(0.2)
