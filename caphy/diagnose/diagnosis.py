@@ -22,9 +22,9 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.noise import measurement_noise
 from caphy.refit.crew import Crew
-from caphy.refit.heldout import HeldOut, held_out_errors
+from caphy.refit.heldout import Apart, HeldOut
 from caphy.refit.intervals import intervals
-from caphy.refit.study import Fit, Progress, Study
+from caphy.refit.study import Progress, Study
 
 
 @dataclass(frozen=True)
@@ -141,6 +141,7 @@ def diagnose(
     every = (*measurements, *held_out)
     scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in every]
     study = Study(scenes[: len(measurements)], progress=progress, crew=crew)
+    others = Study(scenes[len(measurements) :], progress=progress, crew=crew) if held_out else None
     known = base if isinstance(base, Base) else base_of(model, base, garment, body, progress, crew)
     study.mesh = None if known is None else known.mesh
     start = model if known is None else known.model
@@ -148,15 +149,14 @@ def diagnose(
     while (term := _doubtful(found, known, len(study.scenes))) is not None:
         take_back(study, found, term)
 
-    def judged(fit: Fit) -> HeldOut:
-        columns, expected = ((), None) if known is None else (columns_of(found.screens[0].groups)[0], known.correction)
-        apart = Study(scenes[len(measurements) :], progress=progress, crew=crew, mesh=study.mesh)
-        return held_out_errors(apart, fit, found.screens[0].variance, columns, expected)
-
-    if held_out:
-        found = each_proven(study, found, judged)
+    apart = None
+    if others is not None:
+        known_of, expected = ((), None) if known is None else (columns_of(found.screens[0].groups)[0], known.correction)
+        others.mesh = study.mesh
+        apart = Apart(others, found.screens[0].variance, known_of, expected)
+        found = each_proven(study, found, apart.errors)
     settle_laws(study, found)
-    errors = judged(found.fit) if held_out and found.fit is not None else None
+    errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
 from caphy.refit.columns import Column
 from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.responses import Response
 from caphy.refit.study import Fit, Study, picked, share_gone
 
 PROVEN = 1 / 3
@@ -50,27 +52,41 @@ class HeldOut:
         return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)
 
 
-def held_out_errors(
-    study: Study,
-    fitted: Fit,
-    variance: np.ndarray,
-    columns: Sequence[Column] = (),
-    known: Mapping[str, float] | None = None,
-) -> HeldOut:
-    """Roll out a model before and after a fit on the held-out windows of a study.
+class Apart:
+    """Windows that fits are judged on, and nothing is fitted to."""
 
-    ``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`.
-    """
-    every = (*columns, *(column for column in fitted.columns if column not in columns))
-    old = study.correct(study.respond(fitted.origin, every, "held-out windows", anew={"solver"}), every, known or {})
-    new = study.respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
-    before = evidence(picked(old, [every.index(column) for column in fitted.columns]), variance)
-    before = replace(before, weight=robust_weights(before))
-    gone, error = share_gone(before, evidence(new, variance, before.weight), fitted.change)
-    errors = [[1e3 * response.error for response in each] for each in (old, new)]
-    medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
-    pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
-    noise = [measurement_noise(scene.measurement) for scene in study.scenes]
-    stated = [1e3 * found.median for found in noise if found is not None]
-    floor = float(np.median(stated)) if stated else None
-    return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error)
+    def __init__(
+        self,
+        study: Study,
+        variance: np.ndarray,
+        columns: Sequence[Column] = (),
+        known: Mapping[str, float] | None = None,
+    ) -> None:
+        """``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`."""
+        self.study, self.variance, self.columns, self.known = study, variance, tuple(columns), known or {}
+        self._before: tuple[object, Study, list[Response]] | None = None  # of the origin that was asked for last
+
+    def errors(self, fitted: Fit) -> HeldOut:
+        """Roll out a model before and after a fit."""
+        every = (*self.columns, *(column for column in fitted.columns if column not in self.columns))
+        study, old = self._rolled_out(fitted.origin, every)
+        new = study.respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
+        before = evidence(picked(old, [every.index(column) for column in fitted.columns]), self.variance)
+        before = replace(before, weight=robust_weights(before))
+        gone, error = share_gone(before, evidence(new, self.variance, before.weight), fitted.change)
+        errors = [[1e3 * response.error for response in each] for each in (old, new)]
+        medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
+        pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
+        noise = [measurement_noise(scene.measurement) for scene in self.study.scenes]
+        stated = [1e3 * found.median for found in noise if found is not None]
+        floor = float(np.median(stated)) if stated else None
+        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error)
+
+    def _rolled_out(self, origin: Model, columns: tuple[Column, ...]) -> tuple[Study, list[Response]]:
+        """Windows against the model that a fit began with, which most fits have in common, and what knows them."""
+        which = origin.to_json(), columns
+        if self._before is None or self._before[0] != which:
+            study = self.study.afresh()
+            old = study.respond(origin, columns, "held-out windows", anew={"solver"})
+            self._before = which, study, study.correct(old, columns, self.known)
+        return self._before[1:]

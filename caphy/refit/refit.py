@@ -18,7 +18,7 @@ from caphy.measure.track import registered
 from caphy.refit.columns import Column, addition, extended, moved, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.heldout import PROVEN, HeldOut, held_out_errors
+from caphy.refit.heldout import PROVEN, Apart, HeldOut
 from caphy.refit.intervals import intervals
 from caphy.refit.laws import in_another_law
 from caphy.refit.learned import Learned
@@ -84,7 +84,7 @@ def refit(
     fitted, first, removed = _fitted(study, model, names, learned)
     variance = first.variance
     known = () if learned is None else learned.columns, {} if learned is None else learned.correction
-    errors = held_out_errors(proof, fitted, variance, *known)
+    errors = Apart(proof, variance, *known).errors(fitted)
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
@@ -182,7 +182,7 @@ def _without(
 
 def _split(study: Study) -> Study:
     """Move every fourth window of a study into another one."""
-    proof = Study(study.scenes, study.length, study.progress, study.crew, study.mesh)
+    proof = study.afresh()
     place = 0
     for number, starts in enumerate(study.starts):
         later = [(place + i) % _LATER == _LATER - 1 for i in range(len(starts))]

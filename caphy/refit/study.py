@@ -144,6 +144,12 @@ class Study:
         self._expected = [response.columns[..., : len(change)] @ change for response in responses]
         return [replace(r, residual=r.residual - e) for r, e in zip(responses, self._expected, strict=True)]
 
+    def afresh(self) -> Study:
+        """The same windows, of which nothing is known yet."""
+        other = Study(self.scenes, self.length, self.progress, self.crew, self.mesh)
+        other.starts = list(self.starts)
+        return other
+
     def variance(self, responses: Sequence[Response]) -> np.ndarray:
         """The variance (L, M) [m^2] that nothing explains."""
         return estimated_variance(responses, self.noise)

@@ -1,0 +1,33 @@
+"""Fits judged one after another on the same held-out windows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from explicit_cloth import measured, simulate
+
+from caphy.effects.model import Model
+from caphy.measure.scene import Scene
+from caphy.refit.columns import addition
+from caphy.refit.heldout import Apart
+from caphy.refit.study import Study, fit
+
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+KNOWN = {"mass_damping.rate": 0.4}
+
+
+def test_a_fit_is_judged_alike_whatever_was_judged_before() -> None:
+    study = Study([Scene.of(measured(*simulate(), seed=1))])
+    columns = (*addition("mass_damping"), *addition("air_drag_normal"))
+    responses = study.respond(MODEL, columns)
+    variance, weight = study.variance(responses), np.ones(len(responses))
+    found = fit(study, MODEL, columns, responses, variance, weight, rounds=1)
+    other = replace(found, origin=MODEL.with_effect("mass_damping", rate=0.2))  # judged from elsewhere
+    apart = Apart(Study(study.scenes), variance, columns, KNOWN)
+    for each in (found, other, found):
+        alone = Apart(Study(study.scenes), variance, columns, KNOWN).errors(each)
+        together = apart.errors(each)
+        np.testing.assert_allclose(together.before, alone.before, rtol=1e-9)
+        np.testing.assert_allclose(together.after, alone.after, rtol=1e-9)
+        np.testing.assert_allclose([together.share, together.share_error], [alone.share, alone.share_error], rtol=1e-6)
