@@ -155,7 +155,7 @@ def diagnose(
         others.mesh = study.mesh
         apart = Apart(others, found.screens[0].variance, known_of, expected)
         found = each_proven(study, found, apart.errors)
-    settle_laws(study, found)
+    settle_laws(study, found, apart)
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)

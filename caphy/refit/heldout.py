@@ -82,6 +82,13 @@ class Apart:
         floor = float(np.median(stated)) if stated else None
         return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error)
 
+    def misfits(self, fitted: Fit, origin: Model) -> np.ndarray:
+        """Weighted chi2 of each window (W,) against a fitted model, by weights as they were at an ``origin``."""
+        study, old = self._rolled_out(origin, self.columns)
+        weight = robust_weights(evidence(picked(old, range(len(self.columns))), self.variance))
+        new = study.respond(fitted.model, (), "held-out windows", anew={"solver"})
+        return evidence(new, self.variance, weight).misfit(np.zeros(0))
+
     def _rolled_out(self, origin: Model, columns: tuple[Column, ...]) -> tuple[Study, list[Response]]:
         """Windows against the model that a fit began with, which most fits have in common, and what knows them."""
         which = origin.to_json(), columns

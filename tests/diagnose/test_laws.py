@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from explicit_cloth import measured, simulate, square
+from scipy.stats import wilcoxon
 
 from caphy.diagnose.diagnosis import diagnose
+from caphy.diagnose.laws import signed_ranks
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
@@ -73,3 +75,11 @@ def test_two_laws_of_one_effect_are_refused(films):
         refit(MODEL, films[2][:1], ("wind_normal", "wind_normal_quadratic"))
     with pytest.raises(CaphyError, match="another law of wind_normal"):
         refit(MODEL.with_effect("wind_normal"), films[2][:1], ("wind_normal_quadratic",))
+
+
+def test_signed_ranks_are_those_of_another_package():
+    random = np.random.default_rng(0)
+    for shift in (-0.5, 0.0, 1.0):
+        differences = random.normal(shift, 1.0, 25)
+        other = wilcoxon(differences, method="approx", alternative="greater")
+        assert signed_ranks(differences) == pytest.approx(other.zstatistic)
