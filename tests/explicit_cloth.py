@@ -32,13 +32,13 @@ def simulate(
     settle: float = 2.5,
     sway: float = 0.08,
     tempo: float = 1.0,
-    push: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    push: Callable[[np.ndarray, np.ndarray, float], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, dict]:
     """Positions (T, V, 3) of a square held by two corners that sway sideways, and the measurement's other keys.
 
     ``damping`` [N s/m] acts along edges. ``drag`` [kg/m^2/s] is a hidden force per area against the velocity, ``push``
-    a hidden acceleration (V, 3) [m/s^2] of positions and velocities. The first ``settle`` seconds, damped, are left
-    out.
+    a hidden acceleration (V, 3) [m/s^2] of positions, velocities and the time [s]. The first ``settle`` seconds,
+    damped, are left out.
     """
     rest, faces, flat = square(count)
     inverse = np.linalg.inv(
@@ -65,7 +65,7 @@ def simulate(
             force = _elastic(x, faces, inverse, area, lame) - drag / density * mass[:, None] * v
             force -= (3.0 if now < -0.5 else 0.0) * mass[:, None] * v  # settles down
             force += damping * _strain_rate(x, v, faces, mass)
-            force += 0.0 if push is None else mass[:, None] * push(x, v)
+            force += 0.0 if push is None else mass[:, None] * push(x, v, now)
             v = v + dt * (force / mass[:, None] + [0.0, -9.81, 0.0])
             x = x + dt * v
             x[pinned] = pins(now + dt)

@@ -1,4 +1,4 @@
-"""Which law of air a wind follows: the linear one is found, and the quadratic one tried in its place on roll-outs."""
+"""What is not linear in an effect that was found, told on roll-outs: the law of a wind, the frequency of a gust."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from scipy.stats import rankdata
 
 from caphy.diagnose.groups import Group
 from caphy.diagnose.search import Search, Term
-from caphy.refit.columns import addition
+from caphy.refit.columns import addition, further
 from caphy.refit.heldout import Apart
-from caphy.refit.laws import falls, in_another_law, law_of
-from caphy.refit.study import Study
+from caphy.refit.laws import falls, in_another_law, law_of, told_further
+from caphy.refit.study import Fit, Study
 
 SURE = 2.0
 """Standard deviations of the signed ranks' sum within which two laws are alike."""
@@ -21,27 +21,34 @@ LEAST = 1.0
 
 
 def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None:
-    """Put each accepted effect into the law with which roll-outs meet more windows better; those as good are even.
+    """Put each accepted effect into the law with which roll-outs meet more windows better; those as good are even. And
+    fit parameters of it that are not linear, if that does as much.
 
     Laws have as many numbers, so that windows held out, if there are any, tell like the others. Windows count by
     rank (Wilcoxon, Biometrics Bulletin 1, 1945): where a fold snaps under one law and not under the other, the misfit
     differs ten times as much as elsewhere and says nothing of the law.
     """
     for place, term in enumerate(found.terms):
-        law = None if term.group.own else law_of(term.group.name)
-        if law is not None:
-            found.terms[place] = _settled(study, found, term, Group(law, addition(law)), apart)
+        if term.group.own or found.fit is None:
+            continue
+        name, variance, weight = term.group.name, found.screens[0].variance, found.screens[0].evidence.weight
+        if (law := law_of(name)) is not None:
+            fitted = in_another_law(study, found.fit, law, variance, weight)
+            found.terms[place] = _settled(found, term, Group(law, addition(law)), fitted, apart)
+        elif more := further(name):
+            fitted = told_further(study, found.fit, name, variance, weight)
+            found.terms[place] = _settled(found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
 
 
-def _settled(study: Study, found: Search, term: Term, law: Group, apart: Apart | None) -> Term:
+def _settled(found: Search, term: Term, law: Group, after: Fit, apart: Apart | None) -> Term:
     assert found.fit is not None
     first, before = found.screens[0], found.fit
-    after = in_another_law(study, before, law.name, first.variance, first.evidence.weight)
     each = falls(before, after)
     if apart is not None:
         each = np.append(each, apart.misfits(before, first.model) - apart.misfits(after, first.model))
-    sure = signed_ranks(each)
-    even = (*term.even, term.group if sure > LEAST else law) if abs(sure) < SURE else term.even
+    sure, even = signed_ranks(each), term.even
+    if abs(sure) < SURE and law.name != term.group.name:
+        even = (*even, term.group if sure > LEAST else law)
     if sure <= LEAST:
         return replace(term, even=even)
     found.fit = after

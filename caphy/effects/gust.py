@@ -23,6 +23,7 @@ class Gust(Air):
     name = "gust"
     group = "wind"
     power = 0
+    further = ("frequency",)
     parameters = {
         "cosine": Parameter((0.6, 0.0, 0.6), "Pa", -1e3, 1e3, doc="amplitude of the part in phase with the start"),
         "sine": Parameter((0.6, 0.0, 0.6), "Pa", -1e3, 1e3, doc="amplitude of the part a quarter period later"),

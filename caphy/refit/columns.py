@@ -68,6 +68,12 @@ def addition(name: str) -> tuple[Column, ...]:
     return tuple(Column(name, key, entry) for key in told for entry in _entries(effect.parameters[key]))
 
 
+def further(name: str) -> tuple[Column, ...]:
+    """The parameters in which an effect is not linear and that are fitted once it is found."""
+    effect = find_effect(name)
+    return tuple(Column(name, key, entry) for key in effect.further for entry in _entries(effect.parameters[key]))
+
+
 def tunable(name: str, model: Model) -> tuple[Column, ...]:
     """The numbers of an effect that a model has: coefficients themselves, other parameters in proportion.
 

@@ -1,4 +1,7 @@
-"""Another law of an effect that was found: it is not linear, cannot be found from nothing, and starts from that one."""
+"""What is not linear in an effect that was found: another law of it, or parameters such as a frequency.
+
+They cannot be found from nothing, and start from what was found.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from caphy.effects.model import Model
 from caphy.effects.registry import find_effect, registered_effects
-from caphy.refit.columns import Column, addition
+from caphy.refit.columns import Column, addition, further
 from caphy.refit.evidence import evidence, ridged
 from caphy.refit.study import Fit, Study, fit
 
@@ -28,16 +32,33 @@ def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weig
     columns = (*(column for column in best.columns if column.effect != effect.refines), *addition(law))
     values = effect.start(best.model.effects[effect.refines])
     start = best.model.without_effect(effect.refines).with_effect(law, **values)
-    what = f"trying {law}"
+    found = _fitted_on(study, best, start, law, columns, variance, weight)
+    return replace(found, follow=_led_astray(study, found, law, addition(effect.refines), variance))
+
+
+def told_further(study: Study, best: Fit, name: str, variance: np.ndarray, weight: np.ndarray) -> Fit:
+    """A fit carried on with those parameters of an effect in which it is not linear."""
+    return _fitted_on(study, best, best.model, name, (*best.columns, *further(name)), variance, weight)
+
+
+def _fitted_on(
+    study: Study,
+    best: Fit,
+    start: Model,
+    name: str,
+    columns: Sequence[Column],
+    variance: np.ndarray,
+    weight: np.ndarray,
+) -> Fit:
+    what = f"trying {name}"
     # Errors of the mesh may last have been told of a model that was tried and given up.
     responses = study.respond(start, columns, what, anew={"solver"})
     found = fit(study, start, columns, responses, variance, weight, what, most=best.most)
-    fitted = found.model.effects[law]
-    nothing = {key: np.zeros_like(fitted[key]) for key in effect.coefficients}
-    idle = best.origin.with_effect(law, **{**fitted, **nothing})
+    fitted = found.model.effects[name]
+    nothing = {key: np.zeros_like(fitted[key]) for key in find_effect(name).coefficients}
+    idle = best.origin.with_effect(name, **{**fitted, **nothing})
     first = evidence(study.respond(idle, columns, what, anew={"solver"}), variance, best.first.weight)
-    follow = _led_astray(study, found, law, addition(effect.refines), variance)
-    return replace(found, origin=idle, first=first, follow=follow)
+    return replace(found, origin=idle, first=first)
 
 
 def _led_astray(

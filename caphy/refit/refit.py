@@ -15,12 +15,12 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered
-from caphy.refit.columns import Column, addition, extended, moved, tunable
+from caphy.refit.columns import Column, addition, extended, further, moved, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.heldout import PROVEN, Apart, HeldOut
 from caphy.refit.intervals import intervals
-from caphy.refit.laws import in_another_law
+from caphy.refit.laws import in_another_law, told_further
 from caphy.refit.learned import Learned
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked, retold
 
@@ -167,6 +167,9 @@ def _fitted(
     for name, law in wanted.items():
         if law != name and name not in removed:
             best = in_another_law(study, best, law, variance, weight)
+        elif name not in removed and further(name):
+            on = told_further(study, best, name, variance, weight)
+            best = on if on.misfit < best.misfit else best
     return best, first, tuple(wanted[name] for name in removed)
 
 

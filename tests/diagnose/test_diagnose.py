@@ -67,7 +67,7 @@ def test_nothing_is_named_where_nothing_is_missing(plain):
 
 
 def test_a_force_from_outside_the_library_is_flagged():
-    def sewn_in(x, v):
+    def sewn_in(x, v, now):
         """The lower half is pushed to the left and the upper half to the right: no effect of the library."""
         push = np.zeros_like(x)
         push[:, 0] = np.where(np.arange(len(x)) < len(x) // 2, 2.0, -2.0)

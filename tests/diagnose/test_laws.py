@@ -19,17 +19,18 @@ from caphy.refit.refit import refit
 DENSITY = 0.2
 MODEL = Model(DENSITY, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 WIND, COEFFICIENT = np.array([1.2, 0.0, -0.8]), 0.5
+SWINGS = 1.15
 LAWS = {1: "wind_normal", 2: "wind_normal_quadratic"}
 
 
-def blown(power: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def blown(power: int) -> Callable[[np.ndarray, np.ndarray, float], np.ndarray]:
     """The acceleration (V, 3) [m/s^2] by drag against a wind across the cloth, with a power of the speed."""
     rest, faces, _ = square()
     a, b, c = rest[faces].transpose(1, 0, 2)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     mass = np.bincount(faces.ravel(), np.repeat(area * DENSITY / 3, 3), len(rest))
 
-    def push(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def push(x: np.ndarray, v: np.ndarray, now: float) -> np.ndarray:
         a, b, c = x[faces].transpose(1, 0, 2)
         normal = np.cross(b - a, c - a)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -68,6 +69,31 @@ def test_a_law_that_is_not_linear_is_fitted_from_the_linear_one(films):
     names = ["coefficient", *(f"velocity[{i}]" for i in range(3))]
     told = np.array([found.coefficients[f"wind_normal_quadratic.{name}"][1:3] for name in names])
     assert (told[:, 0] < [COEFFICIENT, *WIND]).all() and (told[:, 1] > [COEFFICIENT, *WIND]).all()
+
+
+def gusty(x: np.ndarray, v: np.ndarray, now: float) -> np.ndarray:
+    """The acceleration (V, 3) [m/s^2] by a pressure across the cloth that swings :data:`SWINGS` times a second."""
+    _, faces, _ = square()
+    a, b, c = x[faces].transpose(1, 0, 2)
+    area = 0.5 * np.cross(b - a, c - a)
+    size = np.linalg.norm(area, axis=1, keepdims=True)
+    force = (area * [0.5, 0.0, 0.3]).sum(axis=1, keepdims=True) * np.sin(2 * np.pi * SWINGS * now) * area / size
+    mass, total = np.zeros(len(x)), np.zeros_like(x)
+    for corner in faces.T:
+        np.add.at(mass, corner, DENSITY * size[:, 0] / 3)
+        np.add.at(total, corner, force / 3)
+    return total / mass[:, None]
+
+
+def test_the_frequency_of_a_gust_is_told():
+    films = [measured(*simulate(tempo=tempo, settle=2.0, push=gusty), seed=3) for tempo in (1.15, 1.3)]
+    found = diagnose(MODEL, films)
+    assert found.found == ("gust",)
+    frequency = found.coefficients["gust.frequency"]
+    assert abs(frequency.value - SWINGS) < 0.03
+    assert found.coefficients["gust.sine[0]"].value == pytest.approx(0.5, rel=0.15)
+    added = refit(MODEL, films, ("gust",))
+    assert abs(float(added.model.effects["gust"]["frequency"]) - SWINGS) < 0.03
 
 
 def test_two_laws_of_one_effect_are_refused(films):
