@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing import get_context
 
 MOST = 8
 """Processes at most; each holds its own copy of everything."""
@@ -30,3 +33,19 @@ def one_thread_each() -> Iterator[None]:
             del os.environ[name]
             if value is not None:
                 os.environ[name] = value
+
+
+@contextmanager
+def executor(size: int) -> Iterator[ProcessPoolExecutor]:
+    """As many fresh processes, each with one thread; after an error nothing that waits is begun any more."""
+    pool = ProcessPoolExecutor(size, get_context("spawn"), end_at_ctrl_c)
+    try:
+        with one_thread_each():
+            yield pool
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def end_at_ctrl_c() -> None:
+    """End this process at once when Ctrl-C tells it and its parent to end, where Python would finish what it can."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,7 @@ from caphy.challenge.stage import FPS, Stage
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
-from caphy.processes import one_thread_each
+from caphy.processes import executor
 
 SCENES = {"square": square, "skirt": skirt, "tshirt": tshirt}
 """Scenes by name: what makes their stage from (seed, frames, same_mesh)."""
@@ -102,7 +100,7 @@ def _films(
         yield from (_film(stage, hidden, seed, frames, cache, number) for number in numbers)
         return
     filmed = partial(_filmed, stage.name, hidden, seed, frames, cache)
-    with one_thread_each(), ProcessPoolExecutor(min(processes, len(numbers)), get_context("spawn")) as cameras:
+    with executor(min(processes, len(numbers))) as cameras:
         try:
             yield from cameras.map(filmed, numbers)
         except BrokenProcessPool as error:

@@ -76,6 +76,9 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
         raise CaphyError(f"{where}: refines must name an effect that there is, got {effect.refines!r}")
     if effect.refines is not None and effect.start is Effect.start:
         raise CaphyError(f"{where}: must define start(self, found), since it refines {effect.refines}")
+    others = [key for key in effect.parameters if key not in effect.coefficients]
+    if unknown := [key for key in effect.further if key not in others]:
+        raise CaphyError(f"{where}: further must name parameters that are no coefficients ({others}), got {unknown}")
 
 
 def register_file(path: Path) -> list[str]:

@@ -15,7 +15,7 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
-from caphy.processes import cores, one_thread_each
+from caphy.processes import cores, end_at_ctrl_c, one_thread_each
 from caphy.refit.columns import Column
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
@@ -97,6 +97,7 @@ def _begin(effect_files: Sequence[Path]) -> None:
 
     from caphy.effects.registry import register_file
 
+    end_at_ctrl_c()
     torch.set_num_threads(1)
     for file in effect_files:
         register_file(file)
