@@ -26,6 +26,7 @@ class Hidden:
         alike: for each effect, others that move cloth so similarly that naming them is not wrong.
         same_mesh: the truth is simulated on the user's mesh.
         strength: by which coefficients are multiplied in scenes where the effect would do too little or too much.
+        between: what else is drawn, "effect.parameter" -> lowest and highest value.
     """
 
     name: str
@@ -34,14 +35,18 @@ class Hidden:
     alike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     same_mesh: bool = False
     strength: Mapping[str, float] = field(default_factory=dict)
+    between: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def drawn(self, scene: str, random: np.random.Generator) -> Hidden:
-        """This effect with its strength drawn between 0.75 and 1.4 of its usual one, wind from any side."""
+        """This effect with its strength drawn between 0.75 and 1.4 of its usual one, and wind from any side."""
         turn = about_vertical(random.uniform(0, 360))
         drawn = {
             name: _scaled(name, values, self.strength.get(scene, 1.0) * random.uniform(0.75, 1.4), turn)
             for name, values in self.effects.items()
         }
+        for place, limits in self.between.items():
+            name, key = place.split(".")
+            drawn[name][key] = random.uniform(*limits)
         return replace(self, effects=drawn)
 
 
@@ -76,7 +81,9 @@ ONE: Mapping[str, Hidden] = {
         _one("wind_normal", "wind_normal_quadratic", coefficient=0.2, push=(0.12, 0.0, 0.08)),
         _one("wind_normal_quadratic", "wind_normal", coefficient=0.3, velocity=(0.7, 0.0, 0.5)),
         _one("wind_tangential", "wind_tangential_quadratic", coefficient=0.2, push=(0.2, 0.0, 0.2)),
-        _one("gust", cosine=(0.13, 0.0, 0.08), sine=(0.08, 0.0, -0.13), frequency=1.2),
+        replace(
+            _one("gust", cosine=(0.13, 0.0, 0.08), sine=(0.08, 0.0, -0.13)), between={"gust.frequency": (0.6, 2.4)}
+        ),
         _one("uniform_acceleration", "wind_tangential", acceleration=(0.4, 0.0, 0.3)),
         _one("pressure", pressure=0.1),
         _one("mass_damping", "air_drag_tangential", "air_drag_normal", rate=1.2),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -158,11 +158,17 @@ def diagnose(
     settle_laws(study, found, apart)
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
-    return _concluded(found, study, known, errors, elsewhere, time.perf_counter() - began)
+    return _concluded(found, study, start, known, errors, elsewhere, time.perf_counter() - began)
 
 
 def _concluded(
-    found: Search, study: Study, base: Base | None, errors: HeldOut | None, elsewhere: Outside, seconds: float
+    found: Search,
+    study: Study,
+    start: Model,
+    base: Base | None,
+    errors: HeldOut | None,
+    elsewhere: Outside,
+    seconds: float,
 ) -> Diagnosis:
     first, notes, terms = found.screens[0], [], found.terms
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
@@ -187,7 +193,7 @@ def _concluded(
         },
         ranking=_ranking(found),
         coefficients=numbers if kept else {},
-        model=found.model if kept else first.model,
+        model=_kept(found.model, start, kept) if kept else start,
         needed=first.needed,
         windows=len(first.responses),
         median_mm=(_median(first.responses), _median(found.fit.responses if kept and found.fit else first.responses)),
@@ -200,6 +206,12 @@ def _concluded(
         study=study,
         notes=tuple(notes),
     )
+
+
+def _kept(model: Model, start: Model, terms: Sequence[Term]) -> Model:
+    """A model without what was added to look for it in the right place, and not found."""
+    names = {*start.effects, *(term.group.name for term in terms)}
+    return replace(model, effects={name: values for name, values in model.effects.items() if name in names})
 
 
 def _doubtful(found: Search, base: Base | None, motions: int) -> Term | None:

@@ -1,32 +1,29 @@
-"""What is not linear in an effect that was found, told on roll-outs: the law of a wind, the frequency of a gust."""
+"""What is not linear in an effect that was found, told by windows: the law of a wind, the frequency of a gust."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import rankdata
 
 from caphy.diagnose.groups import Group
 from caphy.diagnose.search import Search, Term
 from caphy.refit.columns import addition, further
 from caphy.refit.heldout import Apart
-from caphy.refit.laws import falls, in_another_law, law_of, told_further
+from caphy.refit.laws import LEAST, in_another_law, law_of, signed_ranks, told_further, way
 from caphy.refit.study import Fit, Study
 
 SURE = 2.0
 """Standard deviations of the signed ranks' sum within which two laws are alike."""
-LEAST = 1.0
-"""By how many of them another law must be better to take the place of the one that was found."""
 
 
 def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None:
-    """Put each accepted effect into the law with which roll-outs meet more windows better; those as good are even. And
-    fit parameters of it that are not linear, if that does as much.
+    """Put each accepted effect into the law that meets more windows better; those as good are even. And fit parameters
+    of it that are not linear, if that does as much.
 
-    Laws have as many numbers, so that windows held out, if there are any, tell like the others. Windows count by
-    rank (Wilcoxon, Biometrics Bulletin 1, 1945): where a fold snaps under one law and not under the other, the misfit
-    differs ten times as much as elsewhere and says nothing of the law.
+    Laws have as many numbers, so that windows held out, if there are any, tell like the others. Tangents tell, from
+    either end of the way between the fits, and windows count by rank: where a fold snaps under one law and not under
+    the other, a window's misfit differs ten times as much as elsewhere and says nothing of the law.
     """
     for place, term in enumerate(found.terms):
         if term.group.own or found.fit is None:
@@ -34,18 +31,19 @@ def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None
         name, variance, weight = term.group.name, found.screens[0].variance, found.screens[0].evidence.weight
         if (law := law_of(name)) is not None:
             fitted = in_another_law(study, found.fit, law, variance, weight)
-            found.terms[place] = _settled(found, term, Group(law, addition(law)), fitted, apart)
+            found.terms[place] = _settled(study, found, term, Group(law, addition(law)), fitted, apart)
         elif more := further(name):
             fitted = told_further(study, found.fit, name, variance, weight)
-            found.terms[place] = _settled(found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
+            found.terms[place] = _settled(study, found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
 
 
-def _settled(found: Search, term: Term, law: Group, after: Fit, apart: Apart | None) -> Term:
+def _settled(study: Study, found: Search, term: Term, law: Group, after: Fit, apart: Apart | None) -> Term:
     assert found.fit is not None
     first, before = found.screens[0], found.fit
-    each = falls(before, after)
+    between = way(before, after)
+    each = between.falls(study, first.variance, first.evidence.weight)
     if apart is not None:
-        each = np.append(each, apart.misfits(before, first.model) - apart.misfits(after, first.model))
+        each = np.append(each, apart.falls(between, first.model))
     sure, even = signed_ranks(each), term.even
     if abs(sure) < SURE and law.name != term.group.name:
         even = (*even, term.group if sure > LEAST else law)
@@ -53,9 +51,3 @@ def _settled(found: Search, term: Term, law: Group, after: Fit, apart: Apart | N
         return replace(term, even=even)
     found.fit = after
     return replace(term, group=law, fit=after, even=even)
-
-
-def signed_ranks(differences: np.ndarray) -> float:
-    """The sum of signed ranks of differences (N,), in standard deviations that it has where signs are chance."""
-    ranks = rankdata(np.abs(differences))
-    return float((np.sign(differences) * ranks).sum() / np.sqrt((ranks**2).sum()))

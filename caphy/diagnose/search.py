@@ -15,6 +15,7 @@ from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.responses import Response
+from caphy.refit.settings import best_setting, settings
 from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined, retold, share_gone
 
 LEAST_GAIN = 0.03
@@ -77,6 +78,10 @@ class Screen:
         """Weighted chi2 of the model as it is."""
         return float((self.evidence.weight * self.evidence.c).sum())
 
+    def gain(self, label: str) -> float:
+        """Of one explanation."""
+        return next(score.gain for score in self.scores if score.group.label == label)
+
     def needed_by(self, score: Score) -> float:
         """The gain that an explanation must reach."""
         return max(self.needed, self.more_needed.get(score.group.label, 0.0))
@@ -138,7 +143,7 @@ def search(
         base: what was learned from base measurements.
     """
     found = Search()
-    found.screens.append(screen(study, model, original, base))
+    found.screens.append(_tuned(study, screen(study, model, original, base), original, base))
     for _ in range(MOST_TERMS):
         term = _next_term(study, found, base is not None)
         if term is None:
@@ -177,6 +182,20 @@ def screen(
     flexible = evidence(picked(probed, range(len(columns), probed[0].columns.shape[-1])), variance, weight)
     more = {group.label: _more_needed(group, base) for group in groups if base is not None}
     return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible)
+
+
+def _tuned(study: Study, found: Screen, original: Model, base: Base | None) -> Screen:
+    """A screen with effects switched off in the settings in which they would explain most, where that may matter."""
+    for group in library(found.model, study.on_body):
+        if not settings(group.name):
+            continue
+        model, share = best_setting(study, found.model, group.name, found.variance, found.evidence.weight)
+        if share < max(found.needed, _CLOSE * found.scores[0].gain):
+            continue
+        other = screen(study, model, original, base, found)
+        if other.gain(group.label) > found.gain(group.label):
+            found = other
+    return found
 
 
 def _more_needed(group: Group, base: Base) -> float:

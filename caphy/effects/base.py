@@ -179,7 +179,8 @@ class Effect:
         needs_body: reads :class:`BodyState`; skipped where there is no body.
         refines: another effect of which this one is another law, where it is not linear in all that must be told of it
             and cannot be found from nothing: that one is found and fitted, and :meth:`start` goes on from there.
-        further: parameters in which it is not linear and that are fitted too, once the effect is found.
+        further: parameters in which it is not linear and that are fitted too, once the effect is found, each with the
+            values at which to look for it; with none it is looked for as by default.
         borrows: other effects whose parameters it reads too, as ``p["body_contact.stiffness"]``; the model must have
             them. Of a tuple of alternatives the model must have at least one, and those it has are lent.
     """
@@ -196,7 +197,7 @@ class Effect:
     reads_step: ClassVar[bool] = False
     needs_body: ClassVar[bool] = False
     refines: ClassVar[str | None] = None
-    further: ClassVar[tuple[str, ...]] = ()
+    further: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     borrows: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
 
     def __init_subclass__(cls, **options) -> None:

@@ -23,7 +23,8 @@ class Gust(Air):
     name = "gust"
     group = "wind"
     power = 0
-    further = ("frequency",)
+    # In T seconds frequencies differ that are 1 / T apart, and a fit reaches a third of that: enough for 3 seconds.
+    further = {"frequency": tuple(0.2 * k for k in range(2, 21))}
     parameters = {
         "cosine": Parameter((0.6, 0.0, 0.6), "Pa", -1e3, 1e3, doc="amplitude of the part in phase with the start"),
         "sine": Parameter((0.6, 0.0, 0.6), "Pa", -1e3, 1e3, doc="amplitude of the part a quarter period later"),

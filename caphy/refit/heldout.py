@@ -11,6 +11,7 @@ from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
 from caphy.refit.columns import Column
 from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.laws import Way
 from caphy.refit.responses import Response
 from caphy.refit.study import Fit, Study, picked, share_gone
 
@@ -82,12 +83,11 @@ class Apart:
         floor = float(np.median(stated)) if stated else None
         return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error)
 
-    def misfits(self, fitted: Fit, origin: Model) -> np.ndarray:
-        """Weighted chi2 of each window (W,) against a fitted model, by weights as they were at an ``origin``."""
+    def falls(self, way: Way, origin: Model) -> np.ndarray:
+        """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""
         study, old = self._rolled_out(origin, self.columns)
         weight = robust_weights(evidence(picked(old, range(len(self.columns))), self.variance))
-        new = study.respond(fitted.model, (), "held-out windows", anew={"solver"})
-        return evidence(new, self.variance, weight).misfit(np.zeros(0))
+        return way.falls(study, self.variance, weight)
 
     def _rolled_out(self, origin: Model, columns: tuple[Column, ...]) -> tuple[Study, list[Response]]:
         """Windows against the model that a fit began with, which most fits have in common, and what knows them."""

@@ -6,15 +6,19 @@ They cannot be found from nothing, and start from what was found.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import rankdata
 
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect, registered_effects
-from caphy.refit.columns import Column, addition, further
+from caphy.refit.columns import Column, addition, changes, further
 from caphy.refit.evidence import evidence, ridged
-from caphy.refit.study import Fit, Study, fit
+from caphy.refit.study import Fit, Study, falls_evenly, fit
+
+LEAST = 1.0
+"""By how many standard deviations of the signed ranks' sum another law must be better."""
 
 
 def law_of(name: str) -> str | None:
@@ -54,9 +58,7 @@ def _fitted_on(
     # Errors of the mesh may last have been told of a model that was tried and given up.
     responses = study.respond(start, columns, what, anew={"solver"})
     found = fit(study, start, columns, responses, variance, weight, what, most=best.most)
-    fitted = found.model.effects[name]
-    nothing = {key: np.zeros_like(fitted[key]) for key in find_effect(name).coefficients}
-    idle = best.origin.with_effect(name, **{**fitted, **nothing})
+    idle = _beside(best.origin.without_effect(name), found.model)
     first = evidence(study.respond(idle, columns, what, anew={"solver"}), variance, best.first.weight)
     return replace(found, origin=idle, first=first)
 
@@ -80,7 +82,43 @@ def _led_astray(
     }
 
 
-def falls(before: Fit, after: Fit) -> np.ndarray:
-    """By how much the misfit of each window (W,) falls from one fit to another of the same windows."""
-    here, there = (each.evidence.misfit(np.zeros(len(each.columns))) for each in (before, after))
-    return here - there
+@dataclass(frozen=True, eq=False)
+class Way:
+    """From one fit to another: two models with the same effects, and the numbers that lead from here to there.
+
+    An effect that one fit lacks is there without strength.
+    """
+
+    here: Model
+    there: Model
+    columns: tuple[Column, ...]
+
+    def falls(self, study: Study, variance: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """By how much the misfit of each window (W,) falls, as by :func:`caphy.refit.study.falls_evenly`."""
+        here, there = (
+            evidence(study.respond(model, self.columns, "comparing", anew={"solver"}), variance, weight)
+            for model in (self.here, self.there)
+        )
+        return falls_evenly(here, there, changes(self.here, self.there, self.columns))
+
+
+def way(before: Fit, after: Fit) -> Way:
+    """The way from one fit to another."""
+    columns = tuple(dict.fromkeys((*before.columns, *after.columns)))
+    return Way(_beside(before.model, after.model), _beside(after.model, before.model), columns)
+
+
+def _beside(model: Model, other: Model) -> Model:
+    """A model with the effects that another has and it lacks, without strength."""
+    for name in other.effects.keys() - model.effects.keys():
+        values = other.effects[name]
+        nothing = {key: np.zeros_like(values[key]) for key in find_effect(name).coefficients}
+        model = model.with_effect(name, **{**values, **nothing})
+    return model
+
+
+def signed_ranks(differences: np.ndarray) -> float:
+    """The sum of signed ranks of differences (N,), in standard deviations that it has where signs are chance
+    (Wilcoxon, Biometrics Bulletin 1, 1945)."""
+    ranks = rankdata(np.abs(differences))
+    return float((np.sign(differences) * ranks).sum() / np.sqrt((ranks**2).sum()))

@@ -20,8 +20,10 @@ from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.heldout import PROVEN, Apart, HeldOut
 from caphy.refit.intervals import intervals
-from caphy.refit.laws import in_another_law, told_further
+from caphy.refit.laws import LEAST as BETTER
+from caphy.refit.laws import in_another_law, signed_ranks, told_further, way
 from caphy.refit.learned import Learned
+from caphy.refit.settings import best_setting, settings
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked, retold
 
 LEAST = 0.01
@@ -153,6 +155,10 @@ def _fitted(
     known = evidence(responses, variance)
     weight = robust_weights(known)
     first = _First(float((weight * known.c).sum()), variance)
+    for name in names:
+        if settings(name):
+            model, _ = best_setting(study, model, name, variance, weight)
+            responses = study.respond(model, columns, "before")
     best, removed = fit(study, model, columns, responses, variance, weight), []
     while len(names) - len(removed) > 1:
         left = [name for name in names if name not in removed]
@@ -169,7 +175,10 @@ def _fitted(
             best = in_another_law(study, best, law, variance, weight)
         elif name not in removed and further(name):
             on = told_further(study, best, name, variance, weight)
-            best = on if on.misfit < best.misfit else best
+            if signed_ranks(way(best, on).falls(study, variance, weight)) > BETTER:
+                best = on
+    for name in removed:  # what was put where it was looked for
+        best = replace(best, model=best.model.without_effect(name))
     return best, first, tuple(wanted[name] for name in removed)
 
 

@@ -220,14 +220,21 @@ class Fit:
         return self.promise < max(_SETTLED * float(change @ normal @ change), _NOTHING * self.misfit)
 
 
-def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[float, float]:
-    """The share of the misfit that a change (K,) takes away, by tangents at either end, and its standard error.
+def falls_evenly(before: Evidence, after: Evidence, change: np.ndarray) -> np.ndarray:
+    """By how much the misfit of each window (W,) falls with a change (K,), by tangents at either end.
 
     The misfits of two roll-outs differ by more than small effects do, because folds snap here in one and there in the
     other. Slopes b and curvatures A at either end tell what the change d itself does. With responses S that change
     evenly from one end to the other the residual moves by m = (S0 + S1) d / 2, and the misfit falls by
 
         2 e0.m - m.m = d.(b0 + b1) - d.(A0 - A1) d / 4.
+    """
+    (slope, curvature), (last_slope, last_curvature) = before.along(change), after.along(change)
+    return -(slope + last_slope) / 2 - (curvature - last_curvature) / 8
+
+
+def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[float, float]:
+    """The share of the misfit that a change (K,) takes away, as by :func:`falls_evenly`, and its standard error.
 
     Where it takes away more than 30 % tangents do not reach from one end to the other, and roll-outs tell. Where the
     ends are at odds (viscosity does less and less the more there is of it) roll-outs tell too, but no less than the
@@ -239,7 +246,7 @@ def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[f
     total = max(float(old.sum()), 1e-300)
     (slope, curvature), (last_slope, last_curvature) = before.along(change), after.along(change)
     ends = -(slope + curvature / 2).sum(), -(last_slope - last_curvature / 2).sum()
-    evenly, falls = -(slope + last_slope) / 2 - (curvature - last_curvature) / 8, old - new
+    evenly, falls = falls_evenly(before, after, change), old - new
     if new.sum() >= (1 - _LARGE) * old.sum():
         if abs(ends[0] - ends[1]) <= _AT_ODDS * total:
             falls = evenly

@@ -88,7 +88,11 @@ def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, text: str, messag
         ("def energy(", "def energies(", "must define energy"),
         ('element = "vertex"', 'element = "vertex"\n    refines = "wind"', "refines must name an effect .* got 'wind'"),
         ('element = "vertex"', 'element = "vertex"\n    refines = "wind_normal"', "must define start"),
-        ('element = "vertex"', 'element = "vertex"\n    further = ("speed",)', r"further must name .* got \['speed'\]"),
+        (
+            'element = "vertex"',
+            'element = "vertex"\n    further = {"speed": ()}',
+            r"further must name .* got \['speed'\]",
+        ),
     ],
 )
 def test_an_incomplete_effect_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -1,0 +1,70 @@
+"""Where an effect that is not linear in a parameter is looked for: the frequency of a gust.
+
+An effect without strength changes nothing, whatever its setting, so that one roll-out tells what each of them would do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import torch
+
+from caphy.effects.candidates import switched_off
+from caphy.effects.model import Model
+from caphy.effects.registry import find_effect
+from caphy.refit.columns import addition, forces
+from caphy.refit.evidence import bounded, evidence
+from caphy.refit.responses import Watched
+from caphy.refit.study import Study
+from caphy.refit.tangents import Pushes
+
+Setting = Mapping[str, float]
+"""Values of the parameters in which an effect is not linear."""
+
+
+def settings(name: str) -> list[Setting]:
+    """All settings at which an effect is looked for; none if that is only as by default."""
+    further = {key: values for key, values in find_effect(name).further.items() if values}
+    return [dict(zip(further, values, strict=True)) for values in product(*further.values())] if further else []
+
+
+def best_setting(
+    study: Study, model: Model, name: str, variance: np.ndarray, weight: np.ndarray
+) -> tuple[Model, float]:
+    """The model with an effect added that is switched off, in the setting in which it would explain most.
+
+    Args:
+        variance, weight: of modes (L, M) [m^2] and of windows (W,), as in :func:`caphy.refit.study.fit`.
+
+    Returns:
+        The model, and the share of the misfit that the effect would take away in the windows that it is fitted to.
+    """
+    columns, where = addition(name), settings(name)
+    known = evidence(study.respond(model, (), f"looking for {name}", Settings(model, name)), variance, weight)
+    lower, upper = np.array([column.bounds(model) for column in columns]).T
+    shares = []
+    for first in range(0, len(columns) * len(where), len(columns)):
+        normal, right = known.picked(range(first, first + len(columns))).normal
+        change = bounded(normal, right, lower, upper)
+        shares.append(float(2 * change @ right - change @ normal @ change) / float((known.weight * known.c).sum()))
+    best = int(np.argmax(shares))
+    return model.with_effect(name, **{**switched_off(name), **where[best]}), shares[best]
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """What one unit of each coefficient of an effect does in each of its settings; other processes can be told."""
+
+    model: Model
+    name: str
+
+    def __call__(self, watched: Watched) -> Pushes:
+        columns = addition(self.name)
+        each = [
+            watched.scene.potential(self.model.with_effect(self.name, **{**switched_off(self.name), **setting}))
+            for setting in settings(self.name)
+        ]
+        return lambda x, step, body: torch.cat([forces(one, columns, x, step, body) for one in each], -3).movedim(-3, 0)
