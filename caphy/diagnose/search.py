@@ -12,7 +12,7 @@ from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import Probes
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
-from caphy.refit.columns import Column, changes, extended, moved
+from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.responses import Response
 from caphy.refit.settings import best_setting, settings
@@ -78,10 +78,6 @@ class Screen:
         """Weighted chi2 of the model as it is."""
         return float((self.evidence.weight * self.evidence.c).sum())
 
-    def gain(self, label: str) -> float:
-        """Of one explanation."""
-        return next(score.gain for score in self.scores if score.group.label == label)
-
     def needed_by(self, score: Score) -> float:
         """The gain that an explanation must reach."""
         return max(self.needed, self.more_needed.get(score.group.label, 0.0))
@@ -143,8 +139,9 @@ def search(
         base: what was learned from base measurements.
     """
     found = Search()
-    found.screens.append(_tuned(study, screen(study, model, original, base), original, base))
+    found.screens.append(screen(study, model, original, base))
     for _ in range(MOST_TERMS):
+        _tune(study, found, original, base)
         term = _next_term(study, found, base is not None)
         if term is None:
             break
@@ -184,18 +181,22 @@ def screen(
     return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible)
 
 
-def _tuned(study: Study, found: Screen, original: Model, base: Base | None) -> Screen:
-    """A screen with effects switched off in the settings in which they would explain most, where that may matter."""
-    for group in library(found.model, study.on_body):
+def _tune(study: Study, found: Search, original: Model, base: Base | None) -> None:
+    """Look for effects in other settings than by default: one that explains more there than anything else is switched
+    off in that setting from now on."""
+    first, last = found.screens[0], found.screens[-1]
+    for group in library(last.model, study.on_body):
         if not settings(group.name):
             continue
-        model, share = best_setting(study, found.model, group.name, found.variance, found.evidence.weight)
-        if share < max(found.needed, _CLOSE * found.scores[0].gain):
+        model, share = best_setting(study, last.model, group.name, last.variance, last.evidence.weight)
+        if share < max(last.needed, last.scores[0].gain):
             continue
-        other = screen(study, model, original, base, found)
-        if other.gain(group.label) > found.gain(group.label):
-            found = other
-    return found
+        other = screen(study, model, original, base, first)
+        if other.scores[0].group.label == group.label and other.scores[0].gain > last.scores[0].gain:
+            if last is not first:
+                begun = first.model.with_effect(group.name, **model.effects[group.name])
+                found.screens[0] = screen(study, begun, original, base, first)
+            found.screens[-1] = last = other
 
 
 def _more_needed(group: Group, base: Base) -> float:
@@ -236,7 +237,7 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
     if not best.converged:
         best = refined(study, best, last.variance, last.evidence.weight, f"fitting {label}")
     since = changes(extended(last.model, best.columns), best.model, best.columns)
-    more, _ = share_gone(_told(last, best.columns), best.evidence, since)
+    more, _ = share_gone(_told(last, best.columns), best.evidence, since, from_the_end(best.columns, since))
     if more < max(last.needed, _FURTHER if found.terms else 0.0):
         return None
     best = retold(study, best, last.variance, last.evidence.weight)

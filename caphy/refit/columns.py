@@ -130,6 +130,12 @@ def changes(before: Model, after: Model, columns: Sequence[Column]) -> np.ndarra
     return np.array(found)
 
 
+def from_the_end(columns: Sequence[Column], change: np.ndarray) -> np.ndarray:
+    """Changes (K,) as the model at their end counts them: relative ones refer to what the numbers are there."""
+    relative = np.array([column.entry is None for column in columns], dtype=bool)
+    return np.where(relative, change / np.where(relative, 1 + change, 1.0), change)
+
+
 def forces(
     potential: Potential, columns: Sequence[Column], x: Tensor, step: Step | None, body: BodyState | None
 ) -> Tensor:

@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
-from caphy.refit.columns import Column
+from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.laws import Way
 from caphy.refit.responses import Response
@@ -74,7 +74,8 @@ class Apart:
         new = study.respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
         before = evidence(picked(old, [every.index(column) for column in fitted.columns]), self.variance)
         before = replace(before, weight=robust_weights(before))
-        gone, error = share_gone(before, evidence(new, self.variance, before.weight), fitted.change)
+        last = from_the_end(fitted.columns, fitted.change)
+        gone, error = share_gone(before, evidence(new, self.variance, before.weight), fitted.change, last)
         errors = [[1e3 * response.error for response in each] for each in (old, new)]
         medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]

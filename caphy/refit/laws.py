@@ -13,7 +13,7 @@ from scipy.stats import rankdata
 
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect, registered_effects
-from caphy.refit.columns import Column, addition, changes, further
+from caphy.refit.columns import Column, addition, changes, from_the_end, further
 from caphy.refit.evidence import evidence, ridged
 from caphy.refit.study import Fit, Study, falls_evenly, fit
 
@@ -99,7 +99,8 @@ class Way:
             evidence(study.respond(model, self.columns, "comparing", anew={"solver"}), variance, weight)
             for model in (self.here, self.there)
         )
-        return falls_evenly(here, there, changes(self.here, self.there, self.columns))
+        change = changes(self.here, self.there, self.columns)
+        return falls_evenly(here, there, change, from_the_end(self.columns, change))
 
 
 def way(before: Fit, after: Fit) -> Way:

@@ -12,7 +12,7 @@ from caphy.errors import CaphyError
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH
-from caphy.refit.columns import Column, changes, extended, moved
+from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.crew import Crew, Place
 from caphy.refit.evidence import Evidence, bounded, estimated_variance, evidence
 from caphy.refit.responses import Response, Watched, watched
@@ -192,7 +192,7 @@ class Fit:
     @property
     def share(self) -> float:
         """Of the misfit, what the fit takes away."""
-        return share_gone(self.first, self.evidence, self.change)[0]
+        return share_gone(self.first, self.evidence, self.change, from_the_end(self.columns, self.change))[0]
 
     @property
     def step(self) -> np.ndarray:
@@ -220,8 +220,10 @@ class Fit:
         return self.promise < max(_SETTLED * float(change @ normal @ change), _NOTHING * self.misfit)
 
 
-def falls_evenly(before: Evidence, after: Evidence, change: np.ndarray) -> np.ndarray:
+def falls_evenly(before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:
     """By how much the misfit of each window (W,) falls with a change (K,), by tangents at either end.
+
+    ``last`` is the same change as it is counted there (:func:`caphy.refit.columns.from_the_end`).
 
     The misfits of two roll-outs differ by more than small effects do, because folds snap here in one and there in the
     other. Slopes b and curvatures A at either end tell what the change d itself does. With responses S that change
@@ -229,11 +231,16 @@ def falls_evenly(before: Evidence, after: Evidence, change: np.ndarray) -> np.nd
 
         2 e0.m - m.m = d.(b0 + b1) - d.(A0 - A1) d / 4.
     """
-    (slope, curvature), (last_slope, last_curvature) = before.along(change), after.along(change)
+    (slope, curvature), (last_slope, last_curvature) = (
+        before.along(change),
+        after.along(change if last is None else last),
+    )
     return -(slope + last_slope) / 2 - (curvature - last_curvature) / 8
 
 
-def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[float, float]:
+def share_gone(
+    before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray | None = None
+) -> tuple[float, float]:
     """The share of the misfit that a change (K,) takes away, as by :func:`falls_evenly`, and its standard error.
 
     Where it takes away more than 30 % tangents do not reach from one end to the other, and roll-outs tell. Where the
@@ -244,9 +251,12 @@ def share_gone(before: Evidence, after: Evidence, change: np.ndarray) -> tuple[f
     zero = np.zeros_like(change)
     old, new = before.misfit(zero), after.misfit(zero)
     total = max(float(old.sum()), 1e-300)
-    (slope, curvature), (last_slope, last_curvature) = before.along(change), after.along(change)
+    (slope, curvature), (last_slope, last_curvature) = (
+        before.along(change),
+        after.along(change if last is None else last),
+    )
     ends = -(slope + curvature / 2).sum(), -(last_slope - last_curvature / 2).sum()
-    evenly, falls = falls_evenly(before, after, change), old - new
+    evenly, falls = falls_evenly(before, after, change, last), old - new
     if new.sum() >= (1 - _LARGE) * old.sum():
         if abs(ends[0] - ends[1]) <= _AT_ODDS * total:
             falls = evenly

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from caphy.effects.model import Model
-from caphy.refit.columns import Column
+from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import Evidence
 from caphy.refit.study import Fit, share_gone
 
@@ -40,6 +40,15 @@ def bent(change: float, fall: float, curve: float = 0.5) -> tuple[Evidence, Evid
 def test_a_bent_path_is_followed(curve):
     before, after, true = bent(3.0, 0.06, curve)
     assert share_gone(before, after, np.array([3.0]))[0] == pytest.approx(true, rel=1e-9)
+
+
+def test_relative_numbers_are_counted_by_what_they_are_at_either_end():
+    before, after, true = bent(2.0, 0.2)
+    change = np.array([2.0])
+    thrice = replace(after, a=9 * after.a, b=3 * after.b)  # one more of it is thrice as much there
+    last = from_the_end([Column("strain_stvk", "lame_mu", None)], change)
+    assert share_gone(before, thrice, change, last)[0] == pytest.approx(true, rel=1e-9)
+    assert from_the_end([Column("pressure", "pressure")], change) == change
 
 
 def test_a_fold_that_snaps_says_nothing():
