@@ -25,7 +25,8 @@ def test_a_blown_skirt_comes_into_the_picture_without_knots():
 
 
 def test_cloth_that_flies_apart_is_told(monkeypatch):
-    monkeypatch.setattr(Leapfrog, "_stable_rate", lambda self: 300.0)
+    for rate in ("_stable_rate", "_kick_rate"):
+        monkeypatch.setattr(Leapfrog, rate, lambda self: 300.0)
     stage = skirt(11, 48)
-    with pytest.raises(CaphyError, match=r"flew apart at -.* s; 300 steps per second are too few"):
+    with pytest.raises(CaphyError, match=r"flew apart at -.* s; 675 steps per second are too few"):
         played(stage, stage.plays[0], ONE["wind_normal"].drawn("skirt", np.random.default_rng(1)), 1)
