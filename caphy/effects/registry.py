@@ -13,6 +13,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import get_args
 
+import numpy as np
+
 import caphy.effects
 from caphy.effects.base import Effect, ElementKind, Group
 from caphy.errors import CaphyError
@@ -79,6 +81,13 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
     others = [key for key in effect.parameters if key not in effect.coefficients]
     if unknown := [key for key in effect.further if key not in others]:
         raise CaphyError(f"{where}: further must name parameters that are no coefficients ({others}), got {unknown}")
+    for key, values in effect.further.items():
+        declared = effect.parameters[key]
+        if (values and np.shape(declared.default)) or any(not declared.lower <= v <= declared.upper for v in values):
+            raise CaphyError(
+                f"{where}: further must look for one number {key} in [{declared.lower:g}, {declared.upper:g}] "
+                f"{declared.unit}, got {values}"
+            )
 
 
 def register_file(path: Path) -> list[str]:

@@ -88,6 +88,7 @@ def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, text: str, messag
         ("def energy(", "def energies(", "must define energy"),
         ('element = "vertex"', 'element = "vertex"\n    refines = "wind"', "refines must name an effect .* got 'wind'"),
         ('element = "vertex"', 'element = "vertex"\n    refines = "wind_normal"', "must define start"),
+        ('element = "vertex"', 'element = "vertex"\n    further = {"wind": (1.0,)}', "look for one number wind"),
         (
             'element = "vertex"',
             'element = "vertex"\n    further = {"speed": ()}',
