@@ -6,17 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import torch
 
 from caphy.diagnose.base import Base
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
-from caphy.diagnose.probes import Probes
+from caphy.diagnose.probes import WIDTHS, Probes
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
-from caphy.refit.responses import Response
-from caphy.refit.settings import best_setting, settings
+from caphy.refit.responses import Response, Watched
+from caphy.refit.settings import Settings, best_setting, settings
 from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined, retold, share_gone
+from caphy.refit.tangents import Pushes
 
 LEAST_GAIN = 0.03
 """Share of the misfit an effect must take away in windows that it was not fitted to."""
@@ -59,7 +61,8 @@ class Screen:
     """All windows against one model, in the columns of the whole library.
 
     ``needed`` is the gain that an effect must reach to be accepted, ``more_needed`` what some need instead, by label;
-    ``evidence_of_probes`` is of the flexible forces.
+    ``evidence_of_probes`` is of the flexible forces, ``evidence_of_settings`` of effects in all settings at which they
+    are looked for, by name.
     """
 
     model: Model
@@ -72,6 +75,7 @@ class Screen:
     needed: float
     more_needed: dict[str, float]
     evidence_of_probes: Evidence
+    evidence_of_settings: dict[str, Evidence]
 
     @property
     def misfit(self) -> float:
@@ -165,7 +169,8 @@ def screen(
     """
     groups = (*own_groups(model, original), *library(model, study.on_body))
     columns, places = columns_of(groups)
-    probed = study.respond(model, columns, "screening", Probes(model), anew={"start"})
+    looked = [Settings(model, group.name) for group in library(model, study.on_body) if settings(group.name)]
+    probed = study.respond(model, columns, "screening", _Together((Probes(model), *looked)), anew={"start"})
     if first is None and base is not None:
         probed = study.correct(probed, columns, base.correction)
     responses = picked(probed, range(len(columns)))
@@ -176,25 +181,39 @@ def screen(
     scores = screened(known, groups, places, model)
     chance = float(np.quantile(null_gains(known, groups, places, model), CHANCE))
     needed = max(LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain), chance)
-    flexible = evidence(picked(probed, range(len(columns), probed[0].columns.shape[-1])), variance, weight)
+    last = len(columns) + sum(WIDTHS.values())
+    flexible = evidence(picked(probed, range(len(columns), last)), variance, weight)
+    elsewhere = {}
+    for each in looked:
+        elsewhere[each.name] = evidence(picked(probed, range(last, last + each.count)), variance, weight)
+        last += each.count
     more = {group.label: _more_needed(group, base) for group in groups if base is not None}
-    return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible)
+    return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible, elsewhere)
+
+
+@dataclass(frozen=True, eq=False)
+class _Together:
+    """Forces one after another; other processes can be told."""
+
+    parts: tuple[Probes | Settings, ...]
+
+    def __call__(self, watched: Watched) -> Pushes:
+        pushes = [part(watched) for part in self.parts]
+        return lambda x, step, body: torch.cat([push(x, step, body) for push in pushes])
 
 
 def _tune(study: Study, found: Search, original: Model, base: Base | None) -> None:
     """Look for effects in other settings than by default: one that explains more there than anything else is switched
     off in that setting from now on."""
     first, last = found.screens[0], found.screens[-1]
-    for group in library(last.model, study.on_body):
-        if not settings(group.name):
-            continue
-        model, share = best_setting(study, last.model, group.name, last.variance, last.evidence.weight)
+    for name in last.evidence_of_settings:
+        model, share = best_setting(last.evidence_of_settings[name], last.model, name)
         if share < max(last.needed, last.scores[0].gain):
             continue
         other = screen(study, model, original, base, first)
-        if other.scores[0].group.label == group.label and other.scores[0].gain > last.scores[0].gain:
+        if other.scores[0].group.name == name and other.scores[0].gain > last.scores[0].gain:
             if last is not first:
-                begun = first.model.with_effect(group.name, **model.effects[group.name])
+                begun = first.model.with_effect(name, **model.effects[name])
                 found.screens[0] = screen(study, begun, original, base, first)
             found.screens[-1] = last = other
 

@@ -12,7 +12,7 @@ where w_i (2,) is the gradient of corner i's hat function [1/m]. Everything is w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -174,7 +174,7 @@ def _entries(tangent: Tensor) -> Tangent:
 
 def strain_of(e: Elements, x: Tensor) -> Symmetric:
     """Green strain of face elements at other positions (3, 3, ..., n) [m], such as those of the history."""
-    return Deformation.of(replace(e, x=x)).strain
+    return Deformation.of(Elements(x, e.rest)).strain
 
 
 def square(strain: Symmetric) -> Tensor:

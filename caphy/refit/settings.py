@@ -16,9 +16,8 @@ from caphy.effects.candidates import switched_off
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.refit.columns import addition, forces
-from caphy.refit.evidence import bounded, evidence
+from caphy.refit.evidence import Evidence, bounded
 from caphy.refit.responses import Watched
-from caphy.refit.study import Study
 from caphy.refit.tangents import Pushes
 
 Setting = Mapping[str, float]
@@ -31,19 +30,16 @@ def settings(name: str) -> list[Setting]:
     return [dict(zip(further, values, strict=True)) for values in product(*further.values())] if further else []
 
 
-def best_setting(
-    study: Study, model: Model, name: str, variance: np.ndarray, weight: np.ndarray
-) -> tuple[Model, float]:
+def best_setting(known: Evidence, model: Model, name: str) -> tuple[Model, float]:
     """The model with an effect added that is switched off, in the setting in which it would explain most.
 
     Args:
-        variance, weight: of modes (L, M) [m^2] and of windows (W,), as in :func:`caphy.refit.study.fit`.
+        known: what windows against the model say of :class:`Settings`.
 
     Returns:
         The model, and the share of the misfit that the effect would take away in the windows that it is fitted to.
     """
     columns, where = addition(name), settings(name)
-    known = evidence(study.respond(model, (), f"looking for {name}", Settings(model, name)), variance, weight)
     lower, upper = np.array([column.bounds(model) for column in columns]).T
     shares = []
     for first in range(0, len(columns) * len(where), len(columns)):
@@ -60,6 +56,11 @@ class Settings:
 
     model: Model
     name: str
+
+    @property
+    def count(self) -> int:
+        """How many forces these are."""
+        return len(addition(self.name)) * len(settings(self.name))
 
     def __call__(self, watched: Watched) -> Pushes:
         columns = addition(self.name)

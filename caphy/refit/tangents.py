@@ -87,6 +87,7 @@ class Tangents:
         """
         self.scene, self.newton, self.candidates, self.columns = scene, newton, candidates, columns
         self.pushes = pushes
+        self._read: dict[str, tuple[str, ...]] = {}
         free = np.ones(len(scene.garment.vertices)) if scene.fixed is None else (~scene.fixed).astype(float)
         self._free = torch.from_numpy(free)[:, None]
 
@@ -125,11 +126,13 @@ class Tangents:
     def _of_history(self, stage: Stage, body: BodyState | None, change: Step) -> Tensor:
         """Change of the model's gradient (K, V, 3) with the step's history."""
         total = torch.zeros_like(change.target)
-        for _, term, elements in self.newton.potential.acting(stage.x, stage.step, body):
+        for name, term, elements in self.newton.potential.acting(stage.x, stage.step, body):
             if isinstance(term.effect, Inertia):
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
             elif (term.effect.needs_step or term.effect.reads_step) and len(total) > _FEW:
-                for field in _read(term, elements):
+                if name not in self._read:
+                    self._read[name] = _read(term, elements)
+                for field in self._read[name]:
                     by = getattr(change, field).numpy().reshape(len(total), -1)
                     matrix = _history_matrix(term, elements, field, len(stage.x))
                     total += torch.from_numpy((matrix @ by.T).T).reshape(total.shape)
@@ -162,15 +165,16 @@ class Tangents:
 
 
 def _read(term: Term, e: Elements) -> tuple[str, ...]:
-    """The fields of the history that an effect's gradient depends on."""
-    here = term.effect.gradient(e, term.values)[1]
-    shaken = torch.rand(e.x.shape, generator=torch.Generator().manual_seed(0), dtype=e.x.dtype)
+    """The fields of the history that an effect's energy asks for: its gradient can depend on no other."""
+    asked = set()
 
-    def told(field: str) -> bool:
-        moved = replace(e, **{field: getattr(e, field) + _nudge(e, field) * (0.5 + shaken)})
-        return not torch.equal(term.effect.gradient(moved, term.values)[1], here)
+    class Asked(Elements):
+        def __getattribute__(self, name: str) -> object:
+            asked.add(name)
+            return super().__getattribute__(name)
 
-    return tuple(field for field in HISTORY if told(field))
+    term.effect.energy(Asked(**vars(e)), term.values)
+    return tuple(field for field in HISTORY if field in asked)
 
 
 def _nudge(e: Elements, field: str) -> float:
