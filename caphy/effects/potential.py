@@ -180,12 +180,15 @@ class Potential:
         """
         self._check(x)
         totals: dict[str, Tensor] = {}
-        for name, term, elements in self.acting(x.detach(), step, body):
-            for key in term.values:
-                full = key if "." in key else f"{name}.{key}"
-                if wanted is None or full in wanted:
-                    mixed = _mixed_derivative(term, elements, key)
-                    totals[full] = totals[full] + mixed if full in totals else mixed
+        for name, term in self.present(step, body):
+            names = {key: key if "." in key else f"{name}.{key}" for key in term.values}
+            keys = [key for key, full in names.items() if wanted is None or full in wanted]
+            if not keys:
+                continue
+            elements = self.elements(term, x.detach(), step, body)
+            for key in keys:
+                mixed, full = _mixed_derivative(term, elements, key), names[key]
+                totals[full] = totals[full] + mixed if full in totals else mixed
         return totals
 
     def _check(self, x: Tensor) -> None:
