@@ -13,10 +13,10 @@ from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import WIDTHS, Probes
 from caphy.diagnose.screen import Score, null_gains, screened
 from caphy.effects.model import Model
-from caphy.refit.columns import Column, changes, extended, from_the_end, moved
+from caphy.refit.columns import Column, addition, changes, extended, from_the_end, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.responses import Response, Watched
-from caphy.refit.settings import Settings, best_setting, settings
+from caphy.refit.settings import Settings, best_setting, in_setting, settings
 from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined, retold, share_gone
 from caphy.refit.tangents import Pushes
 
@@ -61,8 +61,8 @@ class Screen:
     """All windows against one model, in the columns of the whole library.
 
     ``needed`` is the gain that an effect must reach to be accepted, ``more_needed`` what some need instead, by label;
-    ``evidence_of_probes`` is of the flexible forces, ``evidence_of_settings`` of effects in all settings at which they
-    are looked for, by name.
+    ``evidence_of_probes`` is of the flexible forces, ``elsewhere`` of effects in all settings at which they are looked
+    for, by name.
     """
 
     model: Model
@@ -75,7 +75,7 @@ class Screen:
     needed: float
     more_needed: dict[str, float]
     evidence_of_probes: Evidence
-    evidence_of_settings: dict[str, Evidence]
+    elsewhere: dict[str, list[Response]]
 
     @property
     def misfit(self) -> float:
@@ -168,25 +168,39 @@ def screen(
     A later screen keeps the variance and the weights of the ``first``.
     """
     groups = (*own_groups(model, original), *library(model, study.on_body))
-    columns, places = columns_of(groups)
+    columns, _ = columns_of(groups)
     looked = [Settings(model, group.name) for group in library(model, study.on_body) if settings(group.name)]
     probed = study.respond(model, columns, "screening", _Together((Probes(model), *looked)), anew={"start"})
     if first is None and base is not None:
         probed = study.correct(probed, columns, base.correction)
     responses = picked(probed, range(len(columns)))
     variance = first.variance if first else base.variance if base else study.variance(responses)
-    known = evidence(responses, variance)
-    weight = first.evidence.weight if first else robust_weights(known)
-    known = replace(known, weight=weight)
-    scores = screened(known, groups, places, model)
-    chance = float(np.quantile(null_gains(known, groups, places, model), CHANCE))
-    needed = max(LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain), chance)
+    weight = first.evidence.weight if first else robust_weights(evidence(responses, variance))
     last = len(columns) + sum(WIDTHS.values())
     flexible = evidence(picked(probed, range(len(columns), last)), variance, weight)
     elsewhere = {}
     for each in looked:
-        elsewhere[each.name] = evidence(picked(probed, range(last, last + each.count)), variance, weight)
+        elsewhere[each.name] = picked(probed, range(last, last + each.count))
         last += each.count
+    return _weighed(model, groups, responses, variance, weight, base, flexible, elsewhere)
+
+
+def _weighed(
+    model: Model,
+    groups: tuple[Group, ...],
+    responses: list[Response],
+    variance: np.ndarray,
+    weight: np.ndarray,
+    base: Base | None,
+    flexible: Evidence,
+    elsewhere: dict[str, list[Response]],
+) -> Screen:
+    """What windows say of all groups, and what each must gain."""
+    _, places = columns_of(groups)
+    known = evidence(responses, variance, weight)
+    scores = screened(known, groups, places, model)
+    chance = float(np.quantile(null_gains(known, groups, places, model), CHANCE))
+    needed = max(LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain), chance)
     more = {group.label: _more_needed(group, base) for group in groups if base is not None}
     return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible, elsewhere)
 
@@ -205,17 +219,33 @@ class _Together:
 def _tune(study: Study, found: Search, original: Model, base: Base | None) -> None:
     """Look for effects in other settings than by default: one that explains more there than anything else is switched
     off in that setting from now on."""
-    first, last = found.screens[0], found.screens[-1]
-    for name in last.evidence_of_settings:
-        model, share = best_setting(last.evidence_of_settings[name], last.model, name)
+    for name in list(found.screens[-1].elsewhere):
+        first, last = found.screens[0], found.screens[-1]
+        known = evidence(last.elsewhere[name], last.variance, last.evidence.weight)
+        place, share = best_setting(known, last.model, name)
         if share < max(last.needed, last.scores[0].gain):
             continue
-        other = screen(study, model, original, base, first)
+        other = _in_setting(last, name, place, original, base, study.on_body)
         if other.scores[0].group.name == name and other.scores[0].gain > last.scores[0].gain:
             if last is not first:
-                begun = first.model.with_effect(name, **model.effects[name])
-                found.screens[0] = screen(study, begun, original, base, first)
-            found.screens[-1] = last = other
+                found.screens[0] = screen(study, in_setting(first.model, name, place), original, base, first)
+            found.screens[-1] = other
+
+
+def _in_setting(last: Screen, name: str, place: int, original: Model, base: Base | None, on_body: bool) -> Screen:
+    """A screen with an effect in another setting; without strength it changes nothing else."""
+    model, there = in_setting(last.model, name, place), addition(name)
+    groups = (*own_groups(model, original), *library(model, on_body))
+    every, _ = columns_of(last.groups)
+    columns, _ = columns_of(groups)
+    known = [column for column in columns if column not in there]
+    kept = picked(last.responses, [every.index(column) for column in known])
+    moved_to = picked(last.elsewhere[name], range(place * len(there), (place + 1) * len(there)))
+    both = [replace(r, columns=np.concatenate([r.columns, s.columns], -1)) for r, s in zip(kept, moved_to, strict=True)]
+    responses = picked(both, [(*known, *there).index(column) for column in columns])
+    rest = {other: found for other, found in last.elsewhere.items() if other != name}
+    weight = last.evidence.weight
+    return _weighed(model, groups, responses, last.variance, weight, base, last.evidence_of_probes, rest)
 
 
 def _more_needed(group: Group, base: Base) -> float:

@@ -23,7 +23,7 @@ from caphy.refit.intervals import intervals
 from caphy.refit.laws import LEAST as BETTER
 from caphy.refit.laws import in_another_law, signed_ranks, told_further, way
 from caphy.refit.learned import Learned
-from caphy.refit.settings import Settings, best_setting, settings
+from caphy.refit.settings import Settings, best_setting, in_setting, settings
 from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked, retold
 
 LEAST = 0.01
@@ -158,7 +158,7 @@ def _fitted(
     for name in names:
         if settings(name):
             elsewhere = study.respond(model, (), f"looking for {name}", Settings(model, name))
-            model, _ = best_setting(evidence(elsewhere, variance, weight), model, name)
+            model = in_setting(model, name, best_setting(evidence(elsewhere, variance, weight), model, name)[0])
             responses = study.respond(model, columns, "before")
     best, removed = fit(study, model, columns, responses, variance, weight), []
     while len(names) - len(removed) > 1:

@@ -30,24 +30,29 @@ def settings(name: str) -> list[Setting]:
     return [dict(zip(further, values, strict=True)) for values in product(*further.values())] if further else []
 
 
-def best_setting(known: Evidence, model: Model, name: str) -> tuple[Model, float]:
-    """The model with an effect added that is switched off, in the setting in which it would explain most.
+def best_setting(known: Evidence, model: Model, name: str) -> tuple[int, float]:
+    """The setting in which an effect would explain most, by its place among :func:`settings`.
 
     Args:
         known: what windows against the model say of :class:`Settings`.
 
     Returns:
-        The model, and the share of the misfit that the effect would take away in the windows that it is fitted to.
+        The place, and the share of the misfit that the effect would take away in the windows that it is fitted to.
     """
-    columns, where = addition(name), settings(name)
+    columns = addition(name)
     lower, upper = np.array([column.bounds(model) for column in columns]).T
     shares = []
-    for first in range(0, len(columns) * len(where), len(columns)):
+    for first in range(0, len(columns) * len(settings(name)), len(columns)):
         normal, right = known.picked(range(first, first + len(columns))).normal
         change = bounded(normal, right, lower, upper)
         shares.append(float(2 * change @ right - change @ normal @ change) / float((known.weight * known.c).sum()))
     best = int(np.argmax(shares))
-    return model.with_effect(name, **{**switched_off(name), **where[best]}), shares[best]
+    return best, shares[best]
+
+
+def in_setting(model: Model, name: str, place: int) -> Model:
+    """The model with an effect added, switched off, in one of its settings."""
+    return model.with_effect(name, **{**switched_off(name), **settings(name)[place]})
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +69,6 @@ class Settings:
 
     def __call__(self, watched: Watched) -> Pushes:
         columns = addition(self.name)
-        each = [
-            watched.scene.potential(self.model.with_effect(self.name, **{**switched_off(self.name), **setting}))
-            for setting in settings(self.name)
-        ]
+        places = range(len(settings(self.name)))
+        each = [watched.scene.potential(in_setting(self.model, self.name, place)) for place in places]
         return lambda x, step, body: torch.cat([forces(one, columns, x, step, body) for one in each], -3).movedim(-3, 0)
