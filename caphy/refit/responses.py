@@ -120,7 +120,7 @@ class Watched:
         tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
         coarse = Simulator(newton, self.scene.motion, pins=self.scene.pins)  # type: ignore[arg-type]
-        finer, abrupt = _simulator(self._finer.scene, model), self._abrupt(model, columns)
+        finer, abrupt = None, self._abrupt(model, columns)
         for frame in starts:
             recorder.stages.clear()
             sharp = self._sharpened(states.state(frame), frame)
@@ -136,6 +136,7 @@ class Watched:
                 changes[:, place] = (with_it.positions - run.positions) / amount
             if frame not in self._solver or "solver" in anew:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1).positions
+                finer = finer or _simulator(self._finer.scene, model)
                 fine = self._finer.rolled_out(finer, state, frame, self.length)
                 self._solver[frame] = np.stack([run.positions - rough, fine - run.positions], axis=1)[1:]
             yield self._response(frame, run, changes[1:], 0 if errors is None else len(errors.x))
