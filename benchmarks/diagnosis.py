@@ -21,6 +21,7 @@ import tyro
 
 from caphy.challenge.hidden import NOTHING, ONE, OUTSIDE, PAIRS
 from caphy.challenge.world import World, make
+from caphy.register.result import write_text
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,9 @@ def _collected(options: Options, left: Sequence[Case], workers: list, answers) -
         with options.results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         print(line(row), flush=True)
-    print(table(rows(options.results)))
+    found = rows(options.results)
+    print(table(found))
+    write_text(options.results.with_suffix(".md"), page(found))
     return 0
 
 
@@ -228,6 +231,38 @@ def table(found: Sequence[dict]) -> str:
     lines += ["", "failures"]
     lines += [f"  {line(row)}" for row in found if "error" in row or not near(row)]
     return "\n".join(lines)
+
+
+def page(found: Sequence[dict]) -> str:
+    """The numbers, and every case with what was hidden and what was told, as Markdown."""
+    lines = ["# Diagnoses of hidden effects", "", "```", table(found).strip(), "```", ""]
+    titles = "scene", "hidden", "said", "hidden number: told (95 % interval)", "held out [mm]: before, after, the truth"
+    lines += [f"| {' | '.join(titles)} |", "|---|---|---|---|---|"]
+    kinds = ("one", "pair", "outside", "none")
+    good = (row for row in found if "error" not in row)
+    for row in sorted(good, key=lambda row: (_kind(row), row["seed"], kinds.index(row["kind"]), row["hidden"])):
+        d = row["diagnosis"]
+        held = d["held_out"]
+        medians = [held["before_mm"], held["after_mm"]] if held else []
+        medians += [d["truth_held_out_mm"]] if held and d.get("truth_held_out_mm") else []
+        said = " + ".join(" or ".join(d["groups"][name]) for name in d["found"]) or d["verdict"]
+        mark = "" if right(row) else "(near) " if near(row) else "**wrong** "
+        numbers, shown = "; ".join(told_numbers(row)), ", ".join(f"{median:.2f}" for median in medians)
+        lines += [f"| {row['scene']} {row['seed']} | {row['hidden']} | {mark}{said} | {numbers} | {shown} |"]
+    return "\n".join(lines) + "\n"
+
+
+def told_numbers(row: dict) -> Iterator[str]:
+    """Each hidden number that the diagnosis told: the truth, what was told, and its interval."""
+    for effect, values in row["answer"]["effects"].items():
+        for name, value in values.items():
+            for place, one in np.ndenumerate(np.asarray(value, dtype=float)):
+                key = f"{effect}.{name}" + (f"[{','.join(map(str, place))}]" if place else "")
+                told = row["diagnosis"]["coefficients"].get(key)
+                if told is not None and (one or told["value"]):
+                    missed = "" if told["low"] <= one <= told["high"] else ", missed"
+                    span = f"{told['low']:.3g} to {told['high']:.3g}{missed}"
+                    yield f"{name}{list(place) or ''} {one:.3g}: {told['value']:.3g} ({span})"
 
 
 def _kind(row: dict) -> tuple[str, float, int, float]:
