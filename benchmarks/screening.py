@@ -64,7 +64,7 @@ def main() -> None:
         print(
             f"{len(garment.vertices):,} vertices, {len(plays) * FRAMES} frames in {len(found.responses)} windows: "
             f"{seconds:.0f} s of one core for {len(found.groups)} explanations with {columns} numbers, and "
-            f"{found.evidence_of_probes.b.shape[1]} flexible forces",
+            f"{found.flexible.known.b.shape[1]} flexible forces",
             flush=True,
         )
         began = time.process_time()

@@ -16,7 +16,7 @@ import numpy as np
 
 from caphy.body.model import BodyModel
 from caphy.diagnose.checks import check_cloth
-from caphy.diagnose.flexible import flexible_gains
+from caphy.diagnose.flexible import Flexible
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import Probes
 from caphy.diagnose.screen import screened
@@ -119,7 +119,7 @@ def from_base(study: Study, model: Model) -> Base:
         changed = {column.name: float(by) for column, by in zip(fitted.columns, fitted.change, strict=True)}
         model = fitted.model
         look = _looked(study, model)
-    gain, probes = _gains_left(look, model)
+    gain, probes = _gains_left(study, look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])
     correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
     mistaken = {s.group.label: s.gain for s in screened(look.known, look.groups, look.places, model)}
@@ -158,13 +158,13 @@ def _looked(study: Study, model: Model) -> _Look:
     return _Look(groups, columns, places, probed, variance, known, ridge)
 
 
-def _gains_left(look: _Look, model: Model) -> tuple[float, float]:
+def _gains_left(study: Study, look: _Look, model: Model) -> tuple[float, float]:
     """The best gains of the library and of flexible forces in windows corrected by all the others."""
     count = len(look.columns)
     apart = [_corrected(r, c) for r, c in zip(look.probed, _left_out(look.known, look.ridge), strict=True)]
     held = evidence(picked(apart, range(count)), look.variance, look.known.weight)
     rest = range(count, look.probed[0].columns.shape[-1])
-    flexible = flexible_gains(evidence(picked(apart, rest), look.variance, look.known.weight))
+    flexible = Flexible.of(study, picked(apart, rest), look.variance, look.known.weight).gains
     scores = screened(held, look.groups, look.places, model)
     best = max([0.0, *(score.gain for score in scores if not score.group.own)])
     return best, max([0.0, *flexible.values()])

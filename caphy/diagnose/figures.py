@@ -102,10 +102,12 @@ def _answer(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "none of these":
         gain = 100 * diagnosis.outside.gains[diagnosis.outside.best]
         found = diagnosis.outside.after
+        beat = diagnosis.outside.beat
+        swings = "" if beat is None else f" ({beat:.1f} swings a second)"
         whole = f"what is left after {' and '.join(found)}" if found else "the misfit"
         return (
             f"Something is missing that none of the known effects explains: of {whole}, a force that "
-            f"depends on {diagnosis.outside.best} takes away {gain:.0f} %, the best known effect "
+            f"depends on {diagnosis.outside.best}{swings} takes away {gain:.0f} %, the best known effect "
             f"{100 * diagnosis.outside.library:.0f} %. Write it with: caphy effects new my_effect"
         )
     limit = ", ".join(

@@ -2,24 +2,98 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
 import numpy as np
 
-from caphy.diagnose.probes import probe_places
-from caphy.refit.evidence import Evidence, ridged
+from caphy.diagnose.probes import ORDER, STEADY, TO_AND_FRO, probe_places
+from caphy.refit.evidence import Evidence, evidence, ridged
+from caphy.refit.responses import Response
+from caphy.refit.study import Study
 
 RIDGE = 1e-2
 """Shrinks the many pressures of a probe."""
+BEATS = tuple(0.2 * k for k in range(2, 21))
+"""Swings per second at which what pulls to and fro at a place of the cloth is looked for."""
+_SAMPLES = 33  # times of a window at which a swing is followed
 
 
-def flexible_misfits(known: Evidence) -> dict[str, np.ndarray]:
-    """chi2 of each window (W,) for each probe, fitted to all the other windows."""
-    return {name: _left_out(known.picked(place)) for name, place in probe_places().items() if known.b[:, place].any()}
+@dataclass(frozen=True, eq=False)
+class Told:
+    """One probe, fitted.
+
+    Attributes:
+        misfit: chi2 of each window (W,), fitted to all the others.
+        change: its pressures (K,) [Pa], fitted to all; of what swings those of the cosine, then of the sine.
+        beat: swings per second, where it swings.
+    """
+
+    misfit: np.ndarray
+    change: np.ndarray
+    beat: float | None = None
 
 
-def flexible_gains(known: Evidence) -> dict[str, float]:
-    """Share of the misfit that each probe takes away in windows left out of its fit."""
-    null = known.misfit(np.zeros(known.b.shape[1])).sum()
-    return {name: 1 - float(misfit.sum() / null) for name, misfit in flexible_misfits(known).items()}
+@dataclass(frozen=True, eq=False)
+class Flexible:
+    """What windows say of all fields of all probes.
+
+    Attributes:
+        known: the quadratic forms.
+        spans: when each window begins and ends (W, 2) [s].
+    """
+
+    known: Evidence
+    spans: np.ndarray
+
+    @classmethod
+    def of(cls, study: Study, responses: Sequence[Response], variance: np.ndarray, weight: np.ndarray) -> Flexible:
+        """Of responses whose columns are the fields."""
+        rates = [each.scene.measurement.fps for each in study.watched]
+        spans = [np.array([r.start, r.start + len(r.seen)]) / rates[r.scene] for r in responses]
+        return cls(evidence(responses, variance, weight), np.stack(spans))
+
+    @property
+    def null(self) -> np.ndarray:
+        """chi2 of each window (W,) without any."""
+        return self.known.misfit(np.zeros(self.known.b.shape[1]))
+
+    @cached_property
+    def told(self) -> dict[str, Told]:
+        """The probes that act here; of what swings the best beat."""
+        found = {}
+        for name, place in probe_places().items():
+            if self.known.b[:, place].any():
+                forms = self._swinging() if name == TO_AND_FRO else [(None, self.known.picked(place))]
+                tried = [Told(_left_out(form), ridged(*form.normal, RIDGE), beat) for beat, form in forms]
+                found[name] = min(tried, key=lambda each: each.misfit.sum())
+        return found
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """Share of the misfit that each probe takes away in windows left out of its fit."""
+        return {name: 1 - float(each.misfit.sum() / self.null.sum()) for name, each in self.told.items()}
+
+    def _swinging(self) -> Iterator[tuple[float, Evidence]]:
+        """The forms of what swings at each beat, made of what polynomials in time do within each window."""
+        places = probe_places()
+        both, windows = self.known.picked([*places[STEADY], *places[TO_AND_FRO]]), len(self.spans)
+        a = both.a.reshape(windows, ORDER + 1, -1, ORDER + 1, len(places[STEADY]))
+        b = both.b.reshape(windows, ORDER + 1, -1)
+        for beat in BEATS:
+            mix = np.stack([_followed(beat, *span) for span in self.spans])  # (W, powers, 2)
+            size = 2 * b.shape[-1]
+            mixed = np.einsum("wdp,wdkel,weq->wpkql", mix, a, mix, optimize=True).reshape(windows, size, size)
+            yield beat, replace(both, a=mixed, b=np.einsum("wdp,wdk->wpk", mix, b).reshape(windows, size))
+
+
+def _followed(beat: float, first: float, last: float) -> np.ndarray:
+    """Coefficients (powers, 2) of the polynomials in time that come nearest to a cosine and a sine in a span [s]."""
+    time = np.linspace(first, last, _SAMPLES)
+    waves = np.stack([np.cos(2 * np.pi * beat * time), np.sin(2 * np.pi * beat * time)], 1)
+    fits = [np.polynomial.Polynomial.fit(time, wave, ORDER).convert().coef for wave in waves.T]
+    return np.stack([np.pad(fit, (0, ORDER + 1 - len(fit))) for fit in fits], 1)
 
 
 def _left_out(known: Evidence) -> np.ndarray:

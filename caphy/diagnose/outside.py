@@ -6,10 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from caphy.diagnose.flexible import RIDGE, flexible_gains, flexible_misfits
-from caphy.diagnose.probes import probe_places
 from caphy.diagnose.search import OVER_BASE, Screen, Search
-from caphy.refit.evidence import ridged
 
 MORE_AT_FIRST = 1.1, 0.02
 """By what factor, and by how much of the misfit at least, a probe must beat the best explanation of the whole misfit.
@@ -32,6 +29,7 @@ class Outside:
         best: the best probe.
         beats: it explains so much more that something acts for which the library has no name.
         change: pressures (K,) [Pa] of the best probe.
+        beat: its swings per second, where it swings.
         after: what was accepted before the comparison.
     """
 
@@ -40,6 +38,7 @@ class Outside:
     best: str
     beats: bool
     change: np.ndarray
+    beat: float | None = None
     after: tuple[str, ...] = ()
 
 
@@ -60,11 +59,10 @@ def outside(found: Search, floor: float = 0.0) -> Outside:
 
 
 def _compared(screen: Screen, least: float, floor: float) -> Outside:
-    known = screen.evidence_of_probes
-    left, gains = flexible_misfits(known), flexible_gains(known)
+    told, gains = screen.flexible.told, screen.flexible.gains
     best = max(gains, key=lambda name: gains[name])
     library = max(score.gain for score in screen.scores)
-    fall = known.misfit(np.zeros(known.b.shape[1])) - left[best]
+    fall = screen.flexible.null - told[best].misfit
     sure = fall.sum() > _SURE * np.sqrt((fall**2).sum())
     beats = gains[best] > max(least, screen.needed, OVER_BASE * floor) and sure
-    return Outside(gains, library, best, bool(beats), ridged(*known.picked(probe_places()[best]).normal, RIDGE))
+    return Outside(gains, library, best, bool(beats), told[best].change, told[best].beat)

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from caphy.diagnose.diagnosis import Diagnosis
-from caphy.diagnose.probes import probe_places, probe_pushes
+from caphy.diagnose.outside import Outside
+from caphy.diagnose.probes import STEADY, probe_places, probe_pushes
 from caphy.diagnose.screen import Score
 from caphy.effects.base import BodyState, Step
 from caphy.effects.model import Model
@@ -59,8 +60,12 @@ class Moment:
         gradient = forces(potential, columns, self.x, self.step, self.body).numpy()
         return -np.tensordot(score.change, gradient, 1) / potential.cloth.vertex_area[:, None]
 
-    def flexible(self, name: str, change: np.ndarray) -> np.ndarray:
-        """Force per area (V, 3) [Pa] of a probe with pressures ``change`` (K,)."""
+    def flexible(self, found: Outside) -> np.ndarray:
+        """Force per area (V, 3) [Pa] of the best probe."""
+        name, change = found.best, found.change
+        if found.beat is not None:
+            phase = 2 * np.pi * found.beat * self.time
+            name, change = STEADY, np.tensordot((np.cos(phase), np.sin(phase)), change.reshape(2, -1), 1)
         cloth = self.scene.potential(Model(1.0)).cloth
         pushes = probe_pushes(cloth, self.modes, self.x, self.step, self.body)[probe_places()[name]].numpy()
         return -np.tensordot(change, pushes, 1) / cloth.vertex_area[:, None]
@@ -86,7 +91,7 @@ def force_pictures(diagnosis: Diagnosis) -> list[Picture]:
     pictures = []
     if diagnosis.depends_on is not None:
         found = diagnosis.outside
-        pictures.append(moment.picture(moment.flexible(found.best, found.change), f"by {found.best}"))
+        pictures.append(moment.picture(moment.flexible(found), f"by {found.best}"))
     for score in diagnosis.search.screens[0].scores[: SHOWN - len(pictures)]:
         pressure = moment.pressure(score)
         if pressure.any():

@@ -27,6 +27,12 @@ _PLACES = 9  # modes of the material that a force may follow
 _NEAR = 0.03  # metres from the body that count as near
 _BEATS = (0.5, 1.0, 2.0)  # swings per second
 
+TO_AND_FRO = "place on the cloth and time"
+"""The probe whose fields, with those of :data:`STEADY`, are polynomials in time; what swings is made of them."""
+STEADY = "place on the cloth"
+ORDER = 3
+"""Of those polynomials: within a window of a quarter of a second they follow four swings a second."""
+
 
 def _axes(scalar: Tensor) -> list[Tensor]:
     """A scalar field (..., V) along each world axis."""
@@ -45,6 +51,12 @@ def velocity(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyS
 def material_place(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
     places = torch.from_numpy(modes[:, :_PLACES])
     return torch.stack([field for k in range(places.shape[1]) for field in _axes(places[:, k].expand(x.shape[:-1]))])
+
+
+def material_place_in_time(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
+    time = torch.as_tensor(step.time, dtype=x.dtype)[..., None]
+    steady = material_place(cloth, modes, x, step, body)
+    return torch.cat([time**power * steady for power in range(1, ORDER + 1)])
 
 
 def place_in_space(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
@@ -77,7 +89,8 @@ def near_body(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: Body
 PROBES: dict[str, Fields] = {
     "world direction": world_direction,
     "velocity": velocity,
-    "place on the cloth": material_place,
+    STEADY: material_place,
+    TO_AND_FRO: material_place_in_time,
     "place in space": place_in_space,
     "direction of the cloth's normal": along_normal,
     "time": clock,
@@ -100,7 +113,8 @@ def vertex_normals(cloth: Cloth, x: Tensor) -> Tensor:
 WIDTHS = {
     "world direction": 3,
     "velocity": 9,
-    "place on the cloth": 3 * _PLACES,
+    STEADY: 3 * _PLACES,
+    TO_AND_FRO: 3 * _PLACES * ORDER,
     "place in space": 30,
     "direction of the cloth's normal": _PLACES,
     "time": 6 * len(_BEATS),

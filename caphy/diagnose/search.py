@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from caphy.diagnose.base import Base
+from caphy.diagnose.flexible import Flexible
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import WIDTHS, Probes
 from caphy.diagnose.screen import Score, null_gains, screened
@@ -61,7 +62,7 @@ class Screen:
     """All windows against one model, in the columns of the whole library.
 
     ``needed`` is the gain that an effect must reach to be accepted, ``more_needed`` what some need instead, by label;
-    ``evidence_of_probes`` is of the flexible forces, ``elsewhere`` of effects in all settings at which they are looked
+    ``flexible`` is of the flexible forces, ``elsewhere`` of effects in all settings at which they are looked
     for, by name.
     """
 
@@ -74,7 +75,7 @@ class Screen:
     scores: list[Score]
     needed: float
     more_needed: dict[str, float]
-    evidence_of_probes: Evidence
+    flexible: Flexible
     elsewhere: dict[str, list[Response]]
 
     @property
@@ -177,7 +178,7 @@ def screen(
     variance = first.variance if first else base.variance if base else study.variance(responses)
     weight = first.evidence.weight if first else robust_weights(evidence(responses, variance))
     last = len(columns) + sum(WIDTHS.values())
-    flexible = evidence(picked(probed, range(len(columns), last)), variance, weight)
+    flexible = Flexible.of(study, picked(probed, range(len(columns), last)), variance, weight)
     elsewhere = {}
     for each in looked:
         elsewhere[each.name] = picked(probed, range(last, last + each.count))
@@ -192,7 +193,7 @@ def _weighed(
     variance: np.ndarray,
     weight: np.ndarray,
     base: Base | None,
-    flexible: Evidence,
+    flexible: Flexible,
     elsewhere: dict[str, list[Response]],
 ) -> Screen:
     """What windows say of all groups, and what each must gain."""
@@ -245,7 +246,7 @@ def _in_setting(last: Screen, name: str, place: int, original: Model, base: Base
     responses = picked(both, [(*known, *there).index(column) for column in columns])
     rest = {other: found for other, found in last.elsewhere.items() if other != name}
     weight = last.evidence.weight
-    return _weighed(model, groups, responses, last.variance, weight, base, last.evidence_of_probes, rest)
+    return _weighed(model, groups, responses, last.variance, weight, base, last.flexible, rest)
 
 
 def _more_needed(group: Group, base: Base) -> float:

@@ -14,6 +14,7 @@ from caphy.cli import main
 from caphy.diagnose.base import from_base
 from caphy.diagnose.diagnosis import diagnose
 from caphy.diagnose.figures import figures, sentences
+from caphy.diagnose.pictures import force_pictures
 from caphy.diagnose.search import screen
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -77,6 +78,21 @@ def test_a_force_from_outside_the_library_is_flagged():
     assert found.verdict == "none of these"
     assert found.depends_on == "place on the cloth"
     assert not found.found
+
+
+def test_what_pulls_one_place_to_and_fro_is_flagged_with_its_beat():
+    def shaken(x, v, now):
+        """A quarter of the cloth, at 2.3 swings a second."""
+        near = np.exp(-((np.arange(len(x)) // 9 - 6) ** 2 + (np.arange(len(x)) % 9 - 6) ** 2) / 4.0)
+        return np.outer(near, (2.0, 0.0, 4.0)) * np.sin(2 * np.pi * 2.3 * now)
+
+    found = diagnose(MODEL, [taken(1, push=shaken), taken(2, push=shaken)])
+    assert found.verdict == "none of these"
+    assert found.depends_on == "place on the cloth and time"
+    assert found.outside.beat == pytest.approx(2.3, abs=0.15)
+    assert f"({found.outside.beat:.1f} swings a second)" in sentences(found)[0]
+    picture, *_ = force_pictures(found)
+    assert "place on the cloth and time" in picture.caption
 
 
 def test_a_wrong_effect_is_refused(dragged):
