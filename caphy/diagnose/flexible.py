@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import comb
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class Flexible:
 
     Attributes:
         known: the quadratic forms.
-        spans: when each window begins and ends (W, 2) [s].
+        spans: when each window begins and ends (W, 2) [s]; polynomials in time count from the middle.
     """
 
     known: Evidence
@@ -52,7 +53,8 @@ class Flexible:
         """Of responses whose columns are the fields."""
         rates = [each.scene.measurement.fps for each in study.watched]
         spans = [np.array([r.start, r.start + len(r.seen)]) / rates[r.scene] for r in responses]
-        return cls(evidence(responses, variance, weight), np.stack(spans))
+        centred = [_centred(response, span.mean()) for response, span in zip(responses, spans, strict=True)]
+        return cls(evidence(centred, variance, weight), np.stack(spans))
 
     @property
     def null(self) -> np.ndarray:
@@ -88,12 +90,27 @@ class Flexible:
             yield beat, replace(both, a=mixed, b=np.einsum("wdp,wdk->wpk", mix, b).reshape(windows, size))
 
 
+def _centred(response: Response, middle: float) -> Response:
+    """Powers of the time that count from the middle of the window [s].
+
+    Of films of minutes the quadratic form could not tell them from the start's: it squares their cubes.
+    """
+    places = probe_places()
+    index = np.array([*places[STEADY], *places[TO_AND_FRO]]).reshape(ORDER + 1, -1)
+    columns = response.columns.copy()
+    for power in range(1, ORDER + 1):
+        parts = (comb(power, k) * (-middle) ** (power - k) * response.columns[..., index[k]] for k in range(power + 1))
+        columns[..., index[power]] = sum(parts)
+    return replace(response, columns=columns)
+
+
 def _followed(beat: float, first: float, last: float) -> np.ndarray:
-    """Coefficients (powers, 2) of the polynomials in time that come nearest to a cosine and a sine in a span [s]."""
+    """Coefficients (powers, 2) of the polynomials in time, from the middle of a span [s], nearest to a cosine and a
+    sine there."""
     time = np.linspace(first, last, _SAMPLES)
     waves = np.stack([np.cos(2 * np.pi * beat * time), np.sin(2 * np.pi * beat * time)], 1)
-    fits = [np.polynomial.Polynomial.fit(time, wave, ORDER).convert().coef for wave in waves.T]
-    return np.stack([np.pad(fit, (0, ORDER + 1 - len(fit))) for fit in fits], 1)
+    powers = np.vander(time - (first + last) / 2, ORDER + 1, increasing=True)
+    return np.linalg.lstsq(powers, waves, rcond=None)[0]
 
 
 def _left_out(known: Evidence) -> np.ndarray:
