@@ -30,7 +30,7 @@ from caphy.refit.crew import Crew
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response
-from caphy.refit.study import FURTHEST, Fit, Progress, Study, fit, picked
+from caphy.refit.study import Fit, Progress, Study, fit, picked
 
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """How much corrections may be shrunk, in units of what the data say of each alone; windows left out choose."""
@@ -39,7 +39,7 @@ ALL_OF_IT = 4 / 3
 """Of what a mesh with edges half as long does otherwise: the whole error, where it falls with their square."""
 
 _OFF = 0.05  # of the misfit: what parameters must explain by themselves, in windows left out, to be moved for good
-_MUCH = 0.3  # of the misfit: where even numbers that go as far as any may are told
+_FOLD = 0.1  # of the misfit: what they must explain for each factor of e by which one of them moves
 _SURE = 20.0  # squared estimate over squared error of these
 
 
@@ -184,9 +184,9 @@ def _far_off(look: _Look, model: Model) -> list[Column]:
 def _fitted(study: Study, look: _Look, model: Model) -> Fit | None:
     """Parameters that are far off, put right by roll-outs.
 
-    One that goes as far as any may, for little of the misfit, is not told by the data. Lame's lambda at ten times its
-    value beside a softer mu makes cloth as stiff along a thread and softer in shear, as a mesh that locks would ask for
-    where nothing is wrong. It is left where it was, and the others must do without it.
+    One that goes far, for little of the misfit, is not told by the data. Lame's lambda at seven times its value beside
+    a softer mu makes cloth as stiff along a thread and softer in shear, as a mesh that locks would ask for where
+    nothing is wrong. It is left where it was, and the others must do without it.
     """
     off = _far_off(look, model)
     while off:
@@ -194,8 +194,8 @@ def _fitted(study: Study, look: _Look, model: Model) -> Fit | None:
         fitted = fit(study, model, off, responses, look.variance, look.known.weight, "parameters of the base")
         if not fitted.change.any():  # roll-outs did not agree
             return None
-        told = [c for c, by in zip(off, fitted.change, strict=True) if abs(np.log1p(by)) < np.log(0.95 * FURTHEST)]
-        if len(told) == len(off) or fitted.share >= _MUCH:
+        told = [c for c, by in zip(off, fitted.change, strict=True) if fitted.share >= _FOLD * abs(np.log1p(by))]
+        if len(told) == len(off):
             return fitted if fitted.share >= _OFF else None
         off = told
     return None
