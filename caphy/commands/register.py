@@ -255,16 +255,20 @@ def _hung(
     from caphy.register.girth import Sheet
     from caphy.register.template import made
 
+    def cut(style: Family) -> Garment:
+        """Refuses faces without area, as tight cuts may have."""
+        garment = made(replace(choice, style=style), figure)
+        stored = garment.material.astype(np.float32).astype(float)  # as files hold it
+        Cloth.of(replace(garment, material=stored), model.density)
+        return garment
+
     sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
         style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress)
-        garment = made(replace(choice, style=style), figure)
-        stored = garment.material.astype(np.float32).astype(float)  # as files hold it
-        Cloth.of(replace(garment, material=stored), model.density)  # refuses faces without area, as tight cuts may have
+        return style, cut(style)
     except CaphyError as error:
         print(f"the {kind} garment's eases are told by distances alone: {error}")
-        return choice.style, made(choice, figure)
-    return style, garment
+        return choice.style, cut(choice.style)
 
 
 def _points(command: Points) -> None:

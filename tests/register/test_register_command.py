@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,12 +11,18 @@ import pytest
 from dressed_scans import GARMENTS, disturbed, subject, visible
 
 from caphy.body.bundled import default_body
+from caphy.challenge.sheets import users_square
 from caphy.cli import main
+from caphy.commands.register import _hung
+from caphy.effects.model import Model
+from caphy.errors import CaphyError
+from caphy.garment.families import Tshirt
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
 from caphy.register.linear_style import choose_linear
 from caphy.register.result import read_fit
+from caphy.register.template import Choice
 from caphy.report.render import vertex_normals
 from caphy.scan.scan import Scan
 from caphy.scan.scan_set import write_scan_set
@@ -77,3 +84,24 @@ def test_nothing_to_fit_is_an_error_in_words(folder, tmp_path, capsys):
     assert "scans.toml" in capsys.readouterr().err
     assert main(["register", "garments", str(folder), "-o", str(tmp_path)]) == 2
     assert "body.npz" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("spoilt", ["its eases", "every"])
+def test_a_cut_with_faces_of_no_area_is_not_kept(spoilt, capsys, monkeypatch):
+    """Eases that make one are left; a style that has one by itself is refused before anything is sewn from it."""
+    told, hung = Tshirt(), Tshirt(ease=0.01)
+    flat = replace(users_square(5), material=np.zeros_like(users_square(5).material))
+    monkeypatch.setattr("caphy.register.eases.hung_eases", lambda *_: hung)
+    monkeypatch.setattr("caphy.register.girth.Sheet.of", lambda *_: None)
+    monkeypatch.setattr(
+        "caphy.register.template.made",
+        lambda choice, _: flat if choice.style is hung or spoilt == "every" else users_square(5),
+    )
+    choice, model = Choice(told, 0.01, 300, ()), Model(0.2)
+    if spoilt == "every":
+        with pytest.raises(CaphyError, match="every face needs a rest area"):
+            _hung(choice, None, [], [], "upper", model, None)
+        return
+    style, garment = _hung(choice, None, [], [], "upper", model, None)
+    assert style is told and garment.material.any()
+    assert "the upper garment's eases are told by distances alone: garment" in capsys.readouterr().out
