@@ -54,6 +54,7 @@ _ROLLED = 0.05  # of the misfit: by how much one roll-out must be better than an
 _UNDECIDED = 0.01  # of the misfit: what a step must promise for another roll-out while the best is still looked for
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
 _FURTHER = 0.05  # of the misfit that is left: what a further effect must take away at least
+_HOPE = 2.0  # times its promise: what a fit that has not settled may still take away
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 
 
@@ -284,17 +285,24 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
         chosen = _simplest(near, shares, sure_of_parameters)
     label = chosen.group.label
     best = fits[label]
+    least = max(last.needed, _FURTHER if found.terms else 0.0)
+    if _more(last, best) + _HOPE * best.promise / last.misfit < least:
+        return None
     if not best.converged:
         best = refined(study, best, last.variance, last.evidence.weight, f"fitting {label}")
-    since = changes(extended(last.model, best.columns), best.model, best.columns)
-    more, _ = share_gone(_told(last, best.columns), best.evidence, since, from_the_end(best.columns, since))
-    if more < max(last.needed, _FURTHER if found.terms else 0.0):
+    if _more(last, best) < least:
         return None
     best = retold(study, best, last.variance, last.evidence.weight)
     far = fits[label].misfit + _ROLLED * last.misfit
     groups = {score.group.label: score.group for score in near}
     even = tuple(groups[other] for other, each in fits.items() if other != label and each.misfit <= far)
     return Term(chosen.group, best, shares, even)
+
+
+def _more(last: Screen, best: Fit) -> float:
+    """Share of the misfit that a fit takes away since the last screen."""
+    since = changes(extended(last.model, best.columns), best.model, best.columns)
+    return share_gone(_told(last, best.columns), best.evidence, since, from_the_end(best.columns, since))[0]
 
 
 def _told_by_tangents(

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from caphy.diagnose import base, diagnosis, proof
+from caphy.diagnose import base, diagnosis, proof, search
 from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.screen import Score
@@ -70,6 +70,21 @@ def test_parameters_grow_threefold_at_a_time_and_tenfold_in_all(so_far, wanted):
     known = Evidence(np.ones((5, 1, 1)), np.full((5, 1), 1e3), np.full(5, 1e7), np.ones(5), np.full(5, 100))
     fit = Fit(model, there, columns, known, [], known, 1.0, np.ones(5))
     assert fit.step == pytest.approx([wanted])
+
+
+@pytest.mark.parametrize(("promise", "goes_on"), [(0.01, False), (0.03, True)])
+def test_a_further_effect_that_cannot_come_to_enough_is_not_fitted_to_the_end(promise, goes_on, monkeypatch):
+    """5 % of what is left are asked for; 1 % is there, and twice what the next step promises may come."""
+    fit = SimpleNamespace(promise=promise * 300.0, converged=False)
+    found = Search([SimpleNamespace(needed=0.02, misfit=300.0, variance=None, evidence=SimpleNamespace(weight=None))])
+    found.terms = [Term(DRAG, fit, {})]
+    near, asked = score(PRESSURE, 0.2 * search.SMALL), []
+    monkeypatch.setattr(search, "finalists", lambda *_: [near])
+    monkeypatch.setattr(search, "_told_by_tangents", lambda *_: (near, {"pressure": fit}))
+    monkeypatch.setattr(search, "_more", lambda *_: 0.01)
+    monkeypatch.setattr(search, "refined", lambda *_: asked.append(1) or fit)
+    assert search._next_term(SimpleNamespace(), found, True) is None
+    assert bool(asked) == goes_on
 
 
 def held_out(share: float, error: float, after_mm: float = 2.95) -> HeldOut:
