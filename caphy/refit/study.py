@@ -94,6 +94,7 @@ class Study:
         what: str = "rolling out",
         pushes: Callable[[Watched], Pushes] | None = None,
         anew: Collection[str] = (),
+        free: bool = False,
     ) -> list[Response]:
         """All windows against a model.
 
@@ -102,12 +103,14 @@ class Study:
             anew: errors to tell of this model even where an earlier one's are known: "start", and "solver", those of
                 time step and mesh. The latter only where it is known how much the mesh does: a coarse one gives in less
                 to a strong effect too, so that more of an error told anew and more of the effect would look alike.
+            free: leave the mesh's error free in each window, to learn how much of it is there; all of ``anew`` is told.
         """
         places = [(number, frame) for number, starts in enumerate(self.starts) for frame in starts]
         found: dict[int, Response] = {}
-        for place, response in self._responses(places, model, columns, pushes, anew):
+        told = frozenset(anew) if free or self.mesh is not None else frozenset(anew) - {"solver"}
+        for place, response in self._responses(places, model, columns, pushes, told):
             wrong = 0.0 if self._expected is None else self._expected[place]
-            known = response if self.mesh is None else response.with_mesh(self.mesh)
+            known = response if free or self.mesh is None else response.with_mesh(self.mesh)
             found[place] = replace(known, residual=known.residual - wrong)
             if self.progress is not None:
                 self.progress(what, len(found), len(places))
@@ -119,9 +122,8 @@ class Study:
         model: Model,
         columns: Sequence[Column],
         pushes: Callable[[Watched], Pushes] | None,
-        anew: Collection[str],
+        errors: frozenset[str],
     ) -> Iterator[tuple[int, Response]]:
-        errors = frozenset(anew) - (frozenset() if self.mesh is not None else {"solver"})
         if self.crew is not None and self._known_as is not None:
             yield from self.crew.respond(self._known_as, places, model, columns, pushes, errors)
             return
