@@ -68,7 +68,8 @@ class Diagnosis:
     """What was found.
 
     Attributes:
-        verdict: "named", "parameters", "nothing" or "none of these".
+        verdict: "named", "parameters" (of the model's own effects, here or in base measurements already), "nothing" or
+            "none of these".
         found: names of accepted effects, strongest first.
         groups: for each accepted effect the explanations that cannot be told from it here, itself first.
         advice: for each of those pairs, what would tell them apart.
@@ -180,6 +181,8 @@ def _concluded(
         verdict = "none of these"
     elif terms:
         verdict = "parameters" if all(term.group.own for term in terms) else "named"
+    elif base is not None and base.changed:
+        verdict = "parameters"
     kept = terms if verdict in ("named", "parameters") else []
     similar = {term.group.name: alike(found, term) for term in kept}
     return Diagnosis(

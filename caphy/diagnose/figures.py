@@ -98,7 +98,8 @@ def _answer(diagnosis: Diagnosis) -> str:
         also = " and ".join(diagnosis.found)
         return f"The model lacks {also}: the best single explanation takes away {share:.0f} % of the misfit."
     if diagnosis.verdict == "parameters":
-        return f"No effect is missing: the parameters of {_listed(list(diagnosis.groups))} are off."
+        told = dict.fromkeys(name.partition(".")[0] for name in diagnosis.base.changed) if diagnosis.base else {}
+        return f"No effect is missing: the parameters of {_listed(list(diagnosis.groups or told))} are off."
     if diagnosis.verdict == "none of these":
         gain = 100 * diagnosis.outside.gains[diagnosis.outside.best]
         found = diagnosis.outside.after

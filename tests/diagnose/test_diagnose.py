@@ -123,7 +123,12 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     found = diagnose(stiff, dragged[:1], known, dragged[1:])
     assert found.found == ("mass_damping",)
     assert abs(found.coefficients["mass_damping.rate"].value - 3.0) < 0.3
-    assert diagnose(stiff, [taken(3)], known).verdict == "nothing"
+    without = diagnose(stiff, [taken(3)], known)
+    assert (without.verdict, without.found, without.coefficients) == ("parameters", (), {})
+    assert abs(without.model.effects["strain_stvk"]["lame_mu"] / 11.1 - 1) < 0.05
+    answer, *_, moved = sentences(without)
+    assert answer == "No effect is missing: the parameters of strain_stvk are off."
+    assert "lame_mu" in moved
     again = refit(stiff, dragged[:1], ("mass_damping",), dragged[1:], learned=known)
     assert again.kept == ("mass_damping",)
     value, low, high, _ = again.coefficients["mass_damping.rate"]
