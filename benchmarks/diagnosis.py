@@ -19,7 +19,7 @@ import numpy as np
 import torch
 import tyro
 
-from caphy.challenge.hidden import NOTHING, ONE, OUTSIDE, PAIRS
+from caphy.challenge.hidden import HIDDEN, NOTHING, ONE, OUTSIDE, PAIRS
 from caphy.challenge.world import World, make
 from caphy.register.result import write_text
 
@@ -62,8 +62,9 @@ def cases(options: Options) -> list[Case]:
     every: list[Case] = []
     for seed in range(options.first, options.first + options.seeds):
         for scene in options.scenes:
-            singles = [("one", scene, name, seed) for name in ONE if _wanted(name, options)]
-            others = [(k, scene, name, seed) for k, names in kinds.items() for name in names if _wanted(name, options)]
+            singles = [("one", scene, name, seed) for name in ONE if _wanted(name, scene, options)]
+            others = [(k, scene, name, seed) for k, names in kinds.items() for name in names
+                      if _wanted(name, scene, options)]  # fmt: skip
             stride = max(len(singles) // max(len(others), 1), 1)
             while singles or others:
                 every += singles[:stride]
@@ -72,8 +73,8 @@ def cases(options: Options) -> list[Case]:
     return every
 
 
-def _wanted(name: str, options: Options) -> bool:
-    return not options.only or name in options.only
+def _wanted(name: str, scene: str, options: Options) -> bool:
+    return HIDDEN[name].acts_in(scene) and (not options.only or name in options.only)
 
 
 def run(case: Case, options: Options) -> dict:
@@ -87,7 +88,7 @@ def run(case: Case, options: Options) -> dict:
 
     torch.set_num_threads(1)
     kind, scene, name, seed = case
-    hidden = {**ONE, **PAIRS, **NOTHING, **OUTSIDE}[name]
+    hidden = HIDDEN[name]
     noise_mm, points, wrong = options.noise_mm, options.points, options.wrong
     world = make(scene, hidden, seed, noise_mm=noise_mm, points=points, wrong=wrong, cache=options.cache)
     began = time.process_time()

@@ -25,7 +25,7 @@ class Hidden:
         outside: name of a force that is not in the library, or none.
         alike: for each effect, others that move cloth so similarly that naming them is not wrong.
         same_mesh: the truth is simulated on the user's mesh.
-        strength: by which coefficients are multiplied in scenes where the effect would do too little or too much.
+        scenes: where it acts; everywhere unless given.
         between: what else is drawn, "effect.parameter" -> lowest and highest value.
     """
 
@@ -34,16 +34,17 @@ class Hidden:
     outside: str | None = None
     alike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     same_mesh: bool = False
-    strength: Mapping[str, float] = field(default_factory=dict)
+    scenes: tuple[str, ...] | None = None
     between: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def drawn(self, scene: str, random: np.random.Generator) -> Hidden:
+    def acts_in(self, scene: str) -> bool:
+        """Whether it does anything there."""
+        return self.scenes is None or scene in self.scenes
+
+    def drawn(self, random: np.random.Generator) -> Hidden:
         """This effect with its strength drawn between 0.75 and 1.4 of its usual one, and wind from any side."""
         turn = about_vertical(random.uniform(0, 360))
-        drawn = {
-            name: _scaled(name, values, self.strength.get(scene, 1.0) * random.uniform(0.75, 1.4), turn)
-            for name, values in self.effects.items()
-        }
+        drawn = {name: _scaled(name, values, random.uniform(0.75, 1.4), turn) for name, values in self.effects.items()}
         for place, limits in self.between.items():
             name, key = place.split(".")
             drawn[name][key] = random.uniform(*limits)
@@ -63,8 +64,8 @@ def _scaled(name: str, values: Mapping[str, Any], factor: float, turn: np.ndarra
     return scaled
 
 
-def _one(name: str, *alike: str, strength: Mapping[str, float] | None = None, **values: Any) -> Hidden:
-    return Hidden(name, {name: values}, alike={name: alike}, strength=strength or {})
+def _one(name: str, *alike: str, **values: Any) -> Hidden:
+    return Hidden(name, {name: values}, alike={name: alike})
 
 
 def _pair(one: str, other: str) -> Hidden:
@@ -123,7 +124,10 @@ NOTHING: Mapping[str, Hidden] = {
 }
 """Nothing hidden, on another mesh and on the user's own."""
 
-OUTSIDE: Mapping[str, Hidden] = {name: Hidden(name, outside=name) for name in FORCES}
-"""Forces that no effect of the library states."""
+_FIXED_IN_SPACE = ("attraction", "swirl")
+OUTSIDE: Mapping[str, Hidden] = {
+    name: Hidden(name, outside=name, scenes=("square",) if name in _FIXED_IN_SPACE else None) for name in FORCES
+}
+"""Forces that no effect of the library states. People walk metres away from those that have a place in space."""
 
 HIDDEN: Mapping[str, Hidden] = {**ONE, **PAIRS, **NOTHING, **OUTSIDE}

@@ -73,11 +73,15 @@ def make(
         progress: told how many motions of how many are done.
 
     Raises:
-        CaphyError: no such scene, the cloth flew apart, or a process died.
+        CaphyError: no such scene, what is hidden does nothing there, the cloth flew apart, or a process died.
     """
     if scene not in SCENES:
         raise CaphyError(f"there is no scene {scene!r}; known: {', '.join(SCENES)}")
-    hidden = hidden.drawn(scene, np.random.default_rng([seed, 1]))
+    if not hidden.acts_in(scene):
+        raise CaphyError(
+            f"{hidden.name} does nothing in the scene {scene}; it acts in {', '.join(hidden.scenes or ())}"
+        )
+    hidden = hidden.drawn(np.random.default_rng([seed, 1]))
     stage = SCENES[scene](seed, frames, hidden.same_mesh)
     found: dict[str, list[Measurement]] = {"train": [], "held_out": [], "base": []}
     films = _films(stage, hidden, seed, frames, cache, processes)

@@ -62,7 +62,7 @@ def new(command: New) -> None:
         raise CaphyError(f"seed and noise must not be negative, got {command.seed} and {command.noise}")
     if command.points is not None and command.points < 1:
         raise CaphyError(f"--points must be positive, got {command.points}")
-    names = sorted(HIDDEN)
+    names = sorted(name for name, hidden in HIDDEN.items() if hidden.acts_in(command.scene))
     hidden = HIDDEN[names[int(np.random.default_rng([command.seed, 7]).integers(len(names)))]]
     with Progress("simulating") as progress:
         world = make(

@@ -15,7 +15,7 @@ def test_a_blown_skirt_comes_into_the_picture_without_knots():
     """Cloth that was caught in the groin is stretched to 1.11 around its knot and squeezed to 0.86 within it."""
     stage = skirt(11, 48)
     play = next(play for play in stage.plays if play.part == "train")
-    hidden = ONE["wind_normal"].drawn("skirt", np.random.default_rng([11, 1]))
+    hidden = ONE["wind_normal"].drawn(np.random.default_rng([11, 1]))
     (state,) = played(stage, play, hidden, 1)
     cloth = Cloth.of(stage.truth, stage.model.density)
     a, b, c = (state.x.numpy()[cloth.faces[:, k]] for k in range(3))
@@ -29,4 +29,4 @@ def test_cloth_that_flies_apart_is_told(monkeypatch):
         monkeypatch.setattr(Leapfrog, rate, lambda self: 300.0)
     stage = skirt(11, 48)
     with pytest.raises(CaphyError, match=r"flew apart at -.* s; 675 steps per second are too few"):
-        played(stage, stage.plays[0], ONE["wind_normal"].drawn("skirt", np.random.default_rng(1)), 1)
+        played(stage, stage.plays[0], ONE["wind_normal"].drawn(np.random.default_rng(1)), 1)

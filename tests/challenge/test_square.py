@@ -13,7 +13,7 @@ def test_cloth_that_flies_apart_is_simulated_in_shorter_steps():
     """Light where its mass grades off, this one is stiffer where it moves than at rest, where steps are chosen."""
     stage = square(40, 48)
     play = [play for play in stage.plays if play.part == "train"][1]
-    hidden = HIDDEN["air_drag_tangential and mass_gradient"].drawn("square", np.random.default_rng([40, 1]))
+    hidden = HIDDEN["air_drag_tangential and mass_gradient"].drawn(np.random.default_rng([40, 1]))
     with pytest.raises(FlewApart):
         simulator(stage, play, hidden).run(play.start, 12, 30.0, calming=8.0)
     (state,) = played(stage, play, hidden, 1)
