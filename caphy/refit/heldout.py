@@ -10,7 +10,7 @@ import numpy as np
 from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
 from caphy.refit.columns import Column, from_the_end
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import evidence, robust_weights, tamed
 from caphy.refit.laws import Way
 from caphy.refit.responses import Response
 from caphy.refit.study import Fit, Study, picked, share_gone
@@ -75,7 +75,8 @@ class Apart:
         before = evidence(picked(old, [every.index(column) for column in fitted.columns]), self.variance)
         before = replace(before, weight=robust_weights(before))
         last = from_the_end(fitted.columns, fitted.change)
-        gone, error = share_gone(before, evidence(new, self.variance, before.weight), fitted.change, last)
+        after = tamed(evidence(new, self.variance, before.weight), before)
+        gone, error = share_gone(before, after, fitted.change, last)
         errors = [[1e3 * response.error for response in each] for each in (old, new)]
         medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]

@@ -14,7 +14,7 @@ from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.crew import Crew, Place
-from caphy.refit.evidence import Evidence, bounded, estimated_variance, evidence
+from caphy.refit.evidence import Evidence, bounded, estimated_variance, evidence, tamed
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
 
@@ -309,8 +309,7 @@ def refined(
     for _ in range(rounds):
         there = moved(best.model, best.columns, step)
         tried = study.respond(there, best.columns, what)
-        found = _judged(best.origin, there, best.columns, tried, variance, weight, best.most)
-        found = replace(found, first=best.first)
+        found = _judged(best.origin, there, best.columns, tried, variance, weight, best.most, best.first)
         gained = best.misfit - found.misfit
         if gained > -_ROUGH * best.misfit:
             best, step = found, found.step
@@ -337,8 +336,7 @@ def retold(
         return best
     for _ in range(RETELLINGS):
         told = study.respond(best.model, best.columns, what, anew={"solver"})
-        start = _judged(best.origin, best.model, best.columns, told, variance, weight, best.most)
-        best = replace(start, first=best.first)
+        best = _judged(best.origin, best.model, best.columns, told, variance, weight, best.most, best.first)
         if best.settled:
             return replace(best, converged=True)
         best = refined(study, best, variance, weight, what)
@@ -359,9 +357,13 @@ def _judged(
     variance: np.ndarray,
     weight: np.ndarray,
     most: np.ndarray | None = None,
+    first: Evidence | None = None,
 ) -> Fit:
     known = evidence(responses, variance, weight)
     each = known.weight * known.c
     most = SNAPPED * each if most is None else most
     known = replace(known, weight=known.weight * np.minimum(1, most / np.maximum(each, 1e-300)))
-    return Fit(origin, model, columns, known, responses, known, float((known.weight * known.c).sum()), most)
+    misfit = float((known.weight * known.c).sum())
+    if first is None:
+        return Fit(origin, model, columns, known, responses, known, misfit, most)
+    return Fit(origin, model, columns, first, responses, tamed(known, first), misfit, most)
