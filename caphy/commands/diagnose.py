@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -101,15 +103,37 @@ def write(diagnosis: Diagnosis, command: Diagnose) -> None:
     page = command.output / "diagnosis.html"
     _write_text(page, _page(diagnosis, told, command))
     print(f"\n{command.output / 'diagnosis.json'}\n{command.output / 'model.json'}\n{page}")
-    if diagnosis.found:
-        added = " ".join(f"--add {name}" for name in diagnosis.found)
-        files = " ".join(map(str, command.measurements))
-        apart = _option("base", command.base) + _option("held-out", command.held_out)
-        print(f"next: caphy refit {command.model} {files} {added}{apart} -o {command.output / 'refitted.json'}")
+    following = next_command(diagnosis.verdict, diagnosis.found, command)
+    if following:
+        print(f"next: {shlex.join(following)}")
 
 
-def _option(name: str, paths: tuple[Path, ...]) -> str:
-    return f" --{name} {' '.join(map(str, paths))}" if paths else ""
+def next_command(verdict: str, found: Sequence[str], command: Diagnose) -> list[str]:
+    """What to run after a diagnosis, as arguments; nothing where nothing is left to do.
+
+    Effects that were found are added and fitted; parameters that were off have been fitted already, and how far the
+    model's error has fallen is to be seen.
+    """
+    files = list(map(str, command.measurements))
+    scene = {
+        "garment": () if command.garment is None else (command.garment,),
+        "body": () if command.body is None else (command.body,),
+        "effect-file": command.effect_file,
+    }
+    if found:
+        added = [argument for name in found for argument in ("--add", name)]
+        options = {"base": command.base, "held-out": command.held_out, **scene}
+        return ["caphy", "refit", command.model, *files, *added, *_options(options, command.output / "refitted.json")]
+    if verdict == "parameters":
+        model = str(command.output / "model.json")
+        shown = [*map(str, command.held_out)] or files  # nothing was fitted to the former
+        return ["caphy", "compare", model, *shown, *_options(scene, command.output / "compared")]
+    return []
+
+
+def _options(options: Mapping[str, Sequence[Path]], output: Path) -> list[str]:
+    given = [argument for name, paths in options.items() if paths for argument in (f"--{name}", *map(str, paths))]
+    return [*given, "-o", str(output)]
 
 
 def _before_after(before: Model, after: Model, command: Diagnose) -> None:
