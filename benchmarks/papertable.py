@@ -77,9 +77,9 @@ def _trained(given: argparse.Namespace, recipe: Recipe, seed: int, kind: str) ->
         run / "subject_body.npz",
     ]
     words += ["--scans", run] if recipe.scans else []
-    if recipe.physics == "none":
-        words += ["--no-physics"]
-    elif recipe.physics == "fabric":
+    # As in 'caphy fit'; what the default avatar knows is physics.
+    words += ["--no-physics"] if recipe.physics == "none" else ["--transfer", "default"]
+    if recipe.physics == "fabric":
         words += ["--fabric", given.fabric]
     elif recipe.physics == "optimised":
         model = run / f"fabric_{kind}.json"

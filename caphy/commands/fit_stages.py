@@ -188,7 +188,24 @@ def _split_unlike(plan: Plan) -> None:
 
 def _train(plan: Plan) -> None:
     for kind in kinds(plan.run):
-        _train_one(plan, kind, plan.run / "train" / kind, FIRST, ["--fabric", plan.fabric])
+        begun: list[str | Path] = ["--transfer", "default"] if _like_the_default(plan, kind) else []
+        _train_one(plan, kind, plan.run / "train" / kind, FIRST, ["--fabric", plan.fabric, *begun])
+
+
+def _like_the_default(plan: Plan, kind: str) -> bool:
+    """Whether the default avatar wears anything like a garment, so that its training need not begin from nothing."""
+    from caphy.body.model import BodyModel
+    from caphy.commands.train import bundled
+    from caphy.garment.template import Garment
+    from caphy.training.initial import read_likeness
+
+    joints = BodyModel.load(plan.run / "subject_body.npz").joints
+    try:
+        read_likeness(bundled(Path("default")), Garment.load(plan.run / f"{kind}.npz"), joints)
+    except CaphyError as error:
+        print(f"{error}: the {kind} garment is trained from nothing")
+        return False
+    return True
 
 
 def _train_one(plan: Plan, kind: str, folder: Path, share: float, physics: Sequence[str | Path]) -> None:

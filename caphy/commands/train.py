@@ -52,6 +52,9 @@ class Train:
     init: Path | None = None
     """Go on from this network instead of from nothing: an avatar's folder, "default" for the bundled one, or the
     folder of a training."""
+    transfer: Path | None = None
+    """Begin as the most alike garment of this avatar ("default" for the bundled one), whatever mesh, cut and body it
+    has, instead of from nothing."""
     made_up: int = 0
     """Motions of 20 s made from seeds to train on besides the files: arms go where few recordings have them."""
     held_out: tuple[Path, ...] = ()
@@ -123,6 +126,8 @@ def _run(options: Train) -> int:
 def _check(options: Train) -> None:
     if options.fabric and options.model:
         raise CaphyError("give either --fabric or --model, not both")
+    if options.init and options.transfer:
+        raise CaphyError("give either --init, to go on with a network, or --transfer, to begin as another's, not both")
     if options.made_up < 0:
         raise CaphyError(f"--made-up must not be negative, got {options.made_up}")
     if not options.physics and options.scans is None:
@@ -163,7 +168,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     from caphy.effects.registry import register_file
     from caphy.garment.template import Garment
     from caphy.network.garment_network import GarmentNetwork
-    from caphy.training.initial import read_initial
+    from caphy.training.initial import read_initial, read_likeness
     from caphy.training.loop import Schedule, Trainer
     from caphy.training.motions import Motions, varied
     from caphy.training.objective import Objective
@@ -180,6 +185,8 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     body = default_body() if options.body is None else BodyModel.load(options.body)
     betas = np.array(shape) if shape else None
     joints = body.rest(betas)[1]
+    if options.transfer is not None:
+        initial = read_likeness(options.transfer, garment, joints)
     if initial is None:
         network = GarmentNetwork(garment.vertices, garment.weights, joints, fps=FPS)
     else:
@@ -198,11 +205,14 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed, scans=scans)
     if trainer.rank == 0 and record:
         _record(options, shape, initial, garment, model, trained, held_out)
-        _tell(trainer, garment, trained, held_out)
+        _tell(trainer, garment, initial, trained, held_out)
     return trainer
 
 
-def _tell(trainer: Trainer, garment: Garment, trained: list[PoseSequence], held_out: list[PoseSequence]) -> None:
+def _tell(
+    trainer: Trainer, garment: Garment, initial: Initial | None, trained: list[PoseSequence],
+    held_out: list[PoseSequence],
+) -> None:  # fmt: skip
     from caphy.training.blind_spots import blind_spots
     from caphy.training.validate import SHORTEST
 
@@ -210,6 +220,10 @@ def _tell(trainer: Trainer, garment: Garment, trained: list[PoseSequence], held_
         f"{garment.name}: {len(garment.vertices)} vertices, {len(trainer.track.motions)} frames of {len(trained)} "
         f"clips (mirrored, at three speeds), {len(held_out)} clips held out"
     )
+    if initial is not None and "transferred_from" in initial.record:
+        begun = initial.record
+        avatar, apart = begun["transferred_from"], begun["apart_mm"]
+        print(f"begins as the {begun['garment']} of the avatar {avatar}, {apart:.0f} mm from it in the median")
     if trainer.scans is not None:
         physics = "" if trainer.scans.loss.physics else ", no physics"
         print(f"{len(trainer.scans.motions)} scans, lambda_3d {trainer.scans.loss.weight:g} J/m^2{physics}")
@@ -241,10 +255,11 @@ def reopen(folder: Path) -> Trainer:
     path = folder / OPTIONS
     try:
         given = json.loads(path.read_text())
-        options = Train(**{field.name: _option(field.type, given[field.name]) for field in fields(Train)})
+        options = Train(**{f.name: _option(f.type, given[f.name]) for f in fields(Train) if f.name in given})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
-    return prepare(replace(options, output=folder, init=folder, fabric=None, model=folder / "model.json"), record=False)
+    on = replace(options, output=folder, init=folder, transfer=None, fabric=None, model=folder / "model.json")
+    return prepare(on, record=False)
 
 
 def _option(kind: Any, value: Any) -> Any:
@@ -260,11 +275,11 @@ def _found(options: Train) -> Train:
 
     own = None if options.scans is None else options.scans / SUBJECT_BODY
     body = own if options.body is None and own is not None and own.is_file() else options.body
-    init = None if options.init is None else _bundled(options.init)
-    return replace(options, garment=_bundled(options.garment), init=init, body=body)
+    init, transfer = (None if path is None else bundled(path) for path in (options.init, options.transfer))
+    return replace(options, garment=bundled(options.garment), init=init, transfer=transfer, body=body)
 
 
-def _bundled(path: Path) -> Path:
+def bundled(path: Path) -> Path:
     """The bundled garment or avatar of that name, or the path itself."""
     data = Path(__file__).parents[1] / "data"
     bundled = [data / "garments" / f"{path}.npz", data / "avatars" / path]

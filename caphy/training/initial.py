@@ -17,10 +17,13 @@ from caphy.io.bundle import MANIFEST, read_bundle
 from caphy.network.files import load_network
 from caphy.network.from_graph import network_of
 from caphy.network.garment_network import GarmentNetwork
+from caphy.training.transfer import carried_over
 
 NETWORK = "network.safetensors"
 SAME_JOINTS = 1e-4
 """Largest distance between the joints of a body and those a network was trained on [m]."""
+ALIKE = 0.08
+"""Median distance [m] beyond which a garment is no likeness of another, as a sleeve is none of a skirt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,41 @@ def read_initial(folder: Path, garment: Garment) -> Initial:
     return Initial(folder, network, tuple(settings.get("betas", ())), _json(folder / "model.json"), record)
 
 
+def read_likeness(folder: Path, garment: Garment, joints: np.ndarray) -> Initial:
+    """The network of the garment in an avatar bundle that is most like ``garment``, carried over to it.
+
+    Args:
+        garment: of any mesh and cut.
+        joints: rest joints (55, 3) [m] of the body it was made on.
+
+    Returns:
+        It, of no body shape and no model: those are the new garment's own.
+
+    Raises:
+        CaphyError: the folder is no avatar, is damaged, or no garment in it is like this one.
+    """
+    if not (folder / MANIFEST).is_file():
+        raise CaphyError(f"{folder}: is not an avatar: it has no {MANIFEST}; 'caphy export' writes avatars")
+    bundle = read_bundle(folder)
+    found = []
+    for worn in bundle.garments:
+        network = network_of(worn, bundle.joints, bundle.fps)
+        found.append((*carried_over(network, worn.mesh.faces, garment, joints), worn))
+    network, apart, worn = min(found, key=lambda each: each[1])
+    if apart > ALIKE:
+        raise CaphyError(
+            f"{folder}: none of its garments is like {garment.name!r}: {worn.name}, the nearest, lies "
+            f"{100 * apart:.0f} cm from it, at most {100 * ALIKE:.0f} are allowed; leave --transfer out"
+        )
+    record = {
+        "transferred_from": bundle.name,
+        "garment": worn.name,
+        "apart_mm": round(1e3 * apart, 1),
+        "graph_sha256": _sha256(worn.onnx),
+    }
+    return Initial(folder, network, (), {}, record)
+
+
 def _of_avatar(folder: Path, garment: Garment) -> Initial:
     bundle = read_bundle(folder)
     name = _require_mesh(folder, {g.name: g.mesh.vertices for g in bundle.garments}, garment)
@@ -85,7 +123,7 @@ def _require_mesh(folder: Path, templates: Mapping[str, np.ndarray], garment: Ga
     have = ", ".join(f"{name} of {len(template)} vertices" for name, template in templates.items())
     raise CaphyError(
         f"{folder}: has no network of the garment {garment.name!r} ({len(garment.vertices)} vertices), only {have}; "
-        "give the garment npz that it was trained on"
+        "give the garment npz that it was trained on, or carry a network over from another garment's with --transfer"
     )
 
 

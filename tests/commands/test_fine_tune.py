@@ -6,16 +6,19 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from small_world import swaying, tube
 
 from caphy.body.bundled import default_body
 from caphy.cli import main
+from caphy.commands.train import reopen
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
 from caphy.io.measurements import Measurement, write_measurement
 from caphy.io.poses import write_poses
+from caphy.network.files import load_network
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.training.reference import solve
@@ -93,6 +96,21 @@ def test_mistakes_with_init_are_explained(world, capsys):
         assert message in capsys.readouterr().err
     assert train(world, "wrong", "--init", str(world / "avatar"), "--betas", "3.0", "--steps", "1") == 2
     assert "trained on another body" in capsys.readouterr().err
+
+
+def test_a_garment_of_another_mesh_begins_as_an_avatars(world, capsys):
+    tube(around=18, rings=8).save(world / "finer.npz")
+    inputs = [str(world / "finer.npz"), str(world / "motion.npz"), "-o", str(world / "begun"), "--steps", "2"]
+    assert main(["train", *inputs, "--transfer", str(world / "avatar")]) == 0
+    assert "begins as the tube of the avatar avatar" in capsys.readouterr().out
+    record = json.loads((world / "begun" / "run.json").read_text())
+    assert record["init"]["transferred_from"] == "avatar" and record["init"]["apart_mm"] < 5
+    # What is trained further is what was trained, not what it began as.
+    kept, begun = load_network(world / "begun" / "network.safetensors"), load_network(world / "run/network.safetensors")
+    assert torch.equal(reopen(world / "begun").network.head.weight, kept.head.weight)
+    assert (kept.gru.weight_ih_l1 - begun.gru.weight_ih_l1).abs().max() < 0.01
+    assert main(["train", *inputs, "--transfer", "default", "--init", "default"]) == 2
+    assert "give either --init" in capsys.readouterr().err
 
 
 def test_winds_that_the_network_cannot_see_are_named(world, capsys):
