@@ -27,13 +27,23 @@ def supervision(
     weight: float,
     physics: bool = True,
 ) -> Scans:
-    """Supervision of the garment ``worn`` ("upper", "lower") by the training scans of a run; see :class:`Scans`."""
+    """Supervision of the garment ``worn`` ("upper", "lower") by the training scans of a run; see :class:`Scans`.
+
+    Their mirror images are added where the body and all that is worn are the same on both sides.
+    """
     from caphy.register.points import read_points
+    from caphy.training.mirrored import symmetric, with_mirror_images
     from caphy.training.scans import Scans
 
     points = read_points(run, "train")
     outermost = outermost or innermost_of_run(run, points, objective)[-1]
     over = () if outermost == worn else (outermost,)
+    cloth = objective.potential.cloth
+    skin, joints = objective.body.rest(objective.betas)
+    surfaces = [(skin, objective.body.faces), (cloth.vertices, cloth.faces)]
+    surfaces += [(garment.vertices, garment.faces) for garment in templates(run)]
+    if symmetric(surfaces):
+        points = with_mirror_images(points, joints[0])
     return Scans.of(points, worn, over, objective, network.driving, weight, physics)
 
 
@@ -51,6 +61,13 @@ def worn_part(path: Path, garment: Garment) -> str:
         if garment.provenance.get("family", garment.name) in families:
             return worn
     raise CaphyError(f"{path}: cannot tell whether {garment.name!r} is the upper or the lower garment; say with --worn")
+
+
+def templates(run: Path) -> list[Garment]:
+    """The garments that a run holds."""
+    from caphy.garment.template import Garment
+
+    return [Garment.load(run / f"{part}.npz") for part in PARTS if (run / f"{part}.npz").is_file()]
 
 
 def innermost_of_run(run: Path, points: Sequence[ScanPoints], objective: Objective) -> list[str]:

@@ -214,6 +214,7 @@ def _tell(
     held_out: list[PoseSequence],
 ) -> None:  # fmt: skip
     from caphy.training.blind_spots import blind_spots
+    from caphy.training.mirrored import MIRRORED
     from caphy.training.validate import SHORTEST
 
     print(
@@ -226,7 +227,9 @@ def _tell(
         print(f"begins as the {begun['garment']} of the avatar {avatar}, {apart:.0f} mm from it in the median")
     if trainer.scans is not None:
         physics = "" if trainer.scans.loss.physics else ", no physics"
-        print(f"{len(trainer.scans.motions)} scans, lambda_3d {trainer.scans.loss.weight:g} J/m^2{physics}")
+        images = sum(name.endswith(MIRRORED) for name in trainer.scans.motions.names)
+        count = f"{len(trainer.scans.motions) - images} scans{' and their mirror images' if images else ''}"
+        print(f"{count}, lambda_3d {trainer.scans.loss.weight:g} J/m^2{physics}")
     if trainer.held_out is None:
         print(f"note: nothing is validated, no clip held out has {SHORTEST} frames at {trainer.network.fps:g} fps")
     for name, what in blind_spots(trainer.objective.potential).items():
