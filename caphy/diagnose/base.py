@@ -46,6 +46,7 @@ A stiffness that is too high looks like more of a mesh that locks. With 30 % too
 
 _OFF = 0.05  # of the misfit: what parameters must explain by themselves, in windows left out, to be moved for good
 _FOLD = 0.2  # of the misfit: what they must explain for each factor of e by which one of them moves
+_FITS = 3  # of them at most
 _SURE = 20.0  # squared estimate over squared error of these
 
 
@@ -118,14 +119,7 @@ def base_of(
 
 def from_base(study: Study, model: Model) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
-    changed: dict[str, float] = {}
-    free = _rolled_out(study, model)
-    look = _looked(study, model, free, SEEN_OF_IT)
-    fitted = _fitted(study, look, model)
-    if fitted is not None:
-        changed = {column.name: float(by) for column, by in zip(fitted.columns, fitted.change, strict=True)}
-        model = fitted.model
-        free = _rolled_out(study, model)
+    model, changed, free = _put_right(study, model)
     look = _looked(study, model, free, ALL_OF_IT)
     gain, probes = _gains_left(study, look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])
@@ -135,6 +129,24 @@ def from_base(study: Study, model: Model) -> Base:
     motions = np.array([response.scene for response in look.probed])
     learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge, study.mesh or 0.0
     return Base(*learned, changed, mistaken, gain, probes, median_mm)
+
+
+def _put_right(study: Study, model: Model) -> tuple[Model, dict[str, float], list[Response]]:
+    """A model whose parameters are not far off, by how much they were moved, relatively, and all windows against it.
+
+    While a stiffness is wrong the mesh's error is told wrongly, and takes a part of it: fits go on until none is asked
+    for.
+    """
+    changed: dict[str, float] = {}
+    for _ in range(_FITS):
+        free = _rolled_out(study, model)
+        fitted = _fitted(study, _looked(study, model, free, SEEN_OF_IT), model)
+        if fitted is None:
+            return model, changed, free
+        for column, by in zip(fitted.columns, fitted.change, strict=True):
+            changed[column.name] = float((1 + changed.get(column.name, 0.0)) * (1 + by) - 1)
+        model = fitted.model
+    return model, changed, _rolled_out(study, model)
 
 
 def _rolled_out(study: Study, model: Model) -> list[Response]:

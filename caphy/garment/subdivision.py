@@ -19,11 +19,12 @@ class Subdivision:
 
     Attributes:
         garment: the fine one.
-        pairs: the ends of the edges whose middles the other vertices are (E, 2).
+        ends: of the coarse vertices in the middle of which each fine vertex lies (N, 2), both the same where it is one
+            of them.
     """
 
     garment: Garment
-    pairs: np.ndarray
+    ends: np.ndarray
 
     @classmethod
     def of(cls, coarse: Garment) -> Subdivision:
@@ -35,22 +36,26 @@ class Subdivision:
         middle = count + np.searchsorted(key, corner_pairs @ [count, 1])
         six = np.concatenate([coarse.faces, middle], axis=1)
         material = np.concatenate([coarse.material, 0.5 * (coarse.material + np.roll(coarse.material, -1, 1))], axis=1)
-        between = {name: _between(getattr(coarse, name), pairs) for name in ("vertices", "weights", "layer_thickness")}
-        held = np.minimum(*coarse.attached[pairs].T)  # an edge is held where both its ends are
+        ends = np.concatenate([np.repeat(np.arange(count), 2).reshape(-1, 2), pairs])
+        between = {name: _between(getattr(coarse, name), ends) for name in ("vertices", "weights", "layer_thickness")}
         fine = replace(
             coarse,
             faces=six[:, _QUARTERS].reshape(-1, 3).astype(np.int32),
             material=material[:, _QUARTERS].reshape(-1, 3, 2),
-            regions=np.concatenate([coarse.regions, coarse.regions[pairs[:, 0]]]),
-            attached=np.concatenate([coarse.attached, held]),
+            regions=coarse.regions[ends[:, 0]],
+            attached=coarse.attached[ends].min(axis=1),  # an edge is held where both its ends are
             **between,
         )
-        return cls(fine, pairs)
+        return cls(fine, ends)
 
     def carried(self, x: np.ndarray) -> np.ndarray:
-        """Fine positions that lie on coarse ones (V, 3)."""
-        return _between(x, self.pairs)
+        """A field (V, ...) of the coarse vertices on the fine ones (N, ...)."""
+        return _between(x, self.ends)
+
+    def seen(self, x: np.ndarray) -> np.ndarray:
+        """A field (N, ...) of the fine vertices at the coarse ones (V, ...)."""
+        return x[: np.count_nonzero(self.ends[:, 0] == self.ends[:, 1])]
 
 
-def _between(field: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    return np.concatenate([field, 0.5 * (field[pairs[:, 0]] + field[pairs[:, 1]])])
+def _between(field: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    return 0.5 * (field[ends[:, 0]] + field[ends[:, 1]])
