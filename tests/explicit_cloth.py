@@ -20,24 +20,6 @@ def square(count: int = 9, side: float = 0.6) -> tuple[np.ndarray, np.ndarray, n
     return vertices, faces, flat
 
 
-def staggered(count: int = 17, side: float = 0.6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same square in ``count`` rows, every other one shifted by half an edge: triangles nearly equilateral."""
-    along = np.linspace(0, side, count)
-    between = np.concatenate([[0], (along[1:] + along[:-1]) / 2, [side]])
-    rows = [along if row % 2 == 0 else between for row in range(count)]
-    starts = np.cumsum([0, *map(len, rows)])
-    flat = np.concatenate([np.stack([u, np.full(len(u), v)], -1) for u, v in zip(rows, along, strict=True)])
-    faces = []
-    for row in range(count - 1):
-        low, high = (np.arange(starts[r], starts[r + 1]) for r in (row, row + 1))
-        even, odd = (low, high) if row % 2 == 0 else (high, low)
-        near = np.stack([even, odd[:-1], odd[1:]], -1)  # each vertex of the even row below or above two of the odd one
-        far = np.stack([even[:-1], even[1:], odd[1:-1]], -1)
-        faces += [near[:, [0, 2, 1]] if row % 2 else near, far if row % 2 else far[:, [0, 2, 1]]]
-    vertices = np.stack([flat[:, 0] - side / 2, np.zeros(len(flat)), flat[:, 1]], -1)
-    return vertices, np.concatenate(faces), flat
-
-
 def simulate(
     seconds: float = 2.0,
     fps: float = 30.0,
@@ -45,7 +27,6 @@ def simulate(
     density: float = 0.2,
     drag: float = 0.0,
     count: int = 9,
-    mesh: Callable[[int], tuple[np.ndarray, np.ndarray, np.ndarray]] = square,
     steps: int = 120,
     damping: float = 0.03,
     settle: float = 2.5,
@@ -59,7 +40,7 @@ def simulate(
     a hidden acceleration (V, 3) [m/s^2] of positions, velocities and the time [s]. The first ``settle`` seconds,
     damped, are left out.
     """
-    rest, faces, flat = mesh(count)
+    rest, faces, flat = square(count)
     inverse = np.linalg.inv(
         np.stack([flat[faces[:, 1]] - flat[faces[:, 0]], flat[faces[:, 2]] - flat[faces[:, 0]]], -1)
     )

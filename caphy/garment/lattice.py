@@ -1,4 +1,4 @@
-"""A flat cloth meshed anew by a lattice of triangles, as many as if each face were cut in four.
+"""A flat cloth meshed anew by a finer lattice of triangles.
 
 Hinges resist bending in all directions alike only where triangles are as good as equilateral (Seung and Nelson, Phys.
 Rev. A 38, 1988). On squares with diagonals, and still more where such faces are cut in four, bending across a diagonal
@@ -15,6 +15,9 @@ from scipy.spatial import Delaunay, KDTree
 from caphy.body.surface import nearest_on_surface
 from caphy.garment.template import Garment
 from caphy.garment.topology import boundary_edges, edges, face_areas
+
+SHORTER = 0.6
+"""Edges of the lattice over those that triangles as large as the coarse ones have if they are equilateral."""
 
 _FLAT = 1e-3  # of an edge: how far from a plane, and rest shapes from one metric, cloth may be and count as flat
 _EVEN = 3.0  # times: how much larger nearly all faces may be than others for one length of edge to suit all
@@ -37,6 +40,9 @@ class Lattice:
     ends: np.ndarray
     _onto_fine: tuple[np.ndarray, np.ndarray]  # corners (N, 3) and their weights
     _onto_coarse: tuple[np.ndarray, np.ndarray]
+
+    shorter = SHORTER
+    """Its edges over the coarse ones."""
 
     @classmethod
     def of(cls, coarse: Garment, fixed: np.ndarray | None = None) -> Lattice | None:
@@ -113,7 +119,7 @@ def _meshed(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Points (N, 2), the ``kept`` ones first, and faces of a lattice within a rim (R, 2) of edges."""
     total = float(face_areas(flat, faces).sum())
-    edge = np.sqrt(total / len(faces) / np.sqrt(3))  # of equilateral triangles, four to a face
+    edge = SHORTER * np.sqrt(total / len(faces) * 4 / np.sqrt(3))
     low, high = flat.min(axis=0), flat.max(axis=0)
     reach = int(np.linalg.norm(high - low) / edge) + 2
     i, j = np.meshgrid(np.arange(-reach, reach), np.arange(-reach, reach))
@@ -134,7 +140,7 @@ def _meshed(
     middle = points[found].mean(axis=1)
     found = found[np.abs(nearest_on_surface(_lifted(middle), _lifted(flat), faces).distance) < 1e-9]
     whole = abs(face_areas(points, found).sum() / total - 1) < 1e-6 and len(np.unique(found)) == len(points)
-    return (points, found) if whole and 2 * len(rim) == len(boundary_edges(found)) else None
+    return (points, found) if whole and len(boundary_edges(found)) == 2 * len(rim) else None
 
 
 def _triangles(points: np.ndarray) -> np.ndarray:

@@ -26,6 +26,9 @@ class Subdivision:
     garment: Garment
     ends: np.ndarray
 
+    shorter = 0.5
+    """Its edges over the coarse ones."""
+
     @classmethod
     def of(cls, coarse: Garment) -> Subdivision:
         """Rest shape, skinning and attachment are interpolated; rest areas and angles stay."""

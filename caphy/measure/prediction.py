@@ -44,7 +44,7 @@ class Prediction:
         window: which restart each row belongs to, (N,).
         converged: whether the solver converged (N,).
         step_error: how far vertices move when the time step is made finer, (N, V) [m]; NaN where not tried.
-        mesh_error: how far they move when each face is cut in four, likewise; as much of it as the measurement shows.
+        mesh_error: how far they move when edges are half as long, likewise; as much of it as the measurement shows.
         start_error: how far vertices move when the model's own motion, with the measurement's noise added, is what it
             is restarted from, (N, V) [m]; NaN where not tried. A perfect model would still be that far off.
         material: flat rest shape of each face (F, 3, 2) [m], or none.
@@ -72,7 +72,7 @@ def predict_in_windows(
     """A physics model rolled out in windows that follow one another, each started from the measurement.
 
     In a few windows, spread over the measurement, three errors are told that are not the model's: that of the time
-    step, by steps :data:`FINER` times finer, that of the mesh, by cutting each face in four, and that of the restarts,
+    step, by steps :data:`FINER` times finer, that of the mesh, by edges half as long, and that of the restarts,
     by restarting the model from its own noisy motion.
 
     Raises:
@@ -103,7 +103,7 @@ def predict_in_windows(
         if frame in checked:
             slow = roll_out(scene, simulator, state, frame, length=until, substeps=FINER * SUBSTEPS)
             step_error = np.linalg.norm(slow.positions - run.positions, axis=-1)
-            by_mesh = finer.rolled_out(fine, state, frame, until) - run.positions
+            by_mesh = finer.difference(fine, state, run)
             mesh_error = _share_seen(scene.measurement, run, by_mesh) * np.linalg.norm(by_mesh, axis=-1)
             sigma = 0.0 if noise is None else noise.sigma
             again = _restarted(scene, potential, simulator, state, frame, until, sigma)

@@ -137,8 +137,8 @@ class Watched:
             if frame not in self._solver or "solver" in anew:
                 rough = roll_out(self.scene, coarse, state, frame, length=self.length, substeps=1).positions
                 finer = finer or _simulator(self._finer.scene, model)
-                fine = self._finer.rolled_out(finer, state, frame, self.length)
-                self._solver[frame] = np.stack([run.positions - rough, fine - run.positions], axis=1)[1:]
+                of_mesh = self._finer.difference(finer, state, run)
+                self._solver[frame] = np.stack([run.positions - rough, of_mesh], axis=1)[1:]
             yield self._response(frame, run, changes[1:], 0 if errors is None else len(errors.x))
 
     def _abrupt(self, model: Model, columns: Sequence[Column]) -> dict[int, tuple[float, Simulator]]:

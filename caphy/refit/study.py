@@ -28,6 +28,8 @@ ROUNDS = 7
 RETELLINGS = 3
 """Times at most that the mesh's error is told of a fitted model."""
 
+_AGREE = 0.9  # cosine of two steps between retellings beyond which they are of one way
+_SHRINKS = 0.8  # factor from one to the next that is believed at most
 _SETTLED = 4e-3  # of what the whole change takes away: what a further step must promise; 6 % of the numbers
 _NOTHING = 1e-5  # of the misfit: a promise that is none
 
@@ -330,17 +332,35 @@ def retold(
     """A fit carried on with the mesh's error told of the fitted model, where it is known how much of it is there.
 
     A coarse mesh does not answer a stiffness or a damping as the cloth does; how its error changes with the fit tells
-    what is between them.
+    what is between them. Each time the numbers go a part of the way that was left: after two of them, to its end.
     """
     if study.mesh is None:
         return best
+    path, there = [best.change], best.model
     for _ in range(RETELLINGS):
-        told = study.respond(best.model, best.columns, what, anew={"solver"})
-        best = _judged(best.origin, best.model, best.columns, told, variance, weight, best.most, best.first)
+        told = study.respond(there, best.columns, what, anew={"solver"})
+        best = _judged(best.origin, there, best.columns, told, variance, weight, best.most, best.first)
         if best.settled:
             return replace(best, converged=True)
         best = refined(study, best, variance, weight, what)
+        path.append(best.change)
+        further = _way_left(path, best.evidence.normal[0])
+        there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model
     return best
+
+
+def _way_left(path: Sequence[np.ndarray], metric: np.ndarray) -> np.ndarray:
+    """From the last of some changes (K,) to where steps that shrink by one factor lead (Aitken 1926); zero unless two
+    steps agree in direction, by a ``metric`` (K, K)."""
+    if len(path) < 3:
+        return np.zeros_like(path[-1])
+    before, last = path[-2] - path[-3], path[-1] - path[-2]
+    along, square = float(before @ metric @ last), float(before @ metric @ before)
+    cosine = along / np.sqrt(max(square * float(last @ metric @ last), 1e-300))
+    if cosine < _AGREE:
+        return np.zeros_like(last)
+    ratio = min(along / square, _SHRINKS)
+    return ratio / (1 - ratio) * last
 
 
 def picked(responses: Sequence[Response], columns: Sequence[int]) -> list[Response]:
