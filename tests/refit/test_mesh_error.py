@@ -63,7 +63,8 @@ def told(scenes: list[Scene], model: Model) -> tuple[np.ndarray, float]:
 def test_a_finer_mesh_tells_what_the_coarse_one_gets_wrong(finer):
     amounts, gain = told(finer, SOFT)
     assert gain > 0.4
-    assert (np.abs(amounts - 1) < 0.3).all()
+    assert abs(np.median(amounts) - 1) < 0.15
+    assert (amounts > 0.3).all()
 
 
 def test_where_the_mesh_is_the_cloths_own_nothing_is_the_meshs_error(own):
