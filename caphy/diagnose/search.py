@@ -292,6 +292,8 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
         best = refined(study, best, last.variance, last.evidence.weight, f"fitting {label}")
     if _more(last, best) < least:
         return None
+    if found.fit is not None:
+        best = replace(best, by_mesh=found.fit.by_mesh)
     best = retold(study, best, last.variance, last.evidence.weight)
     far = fits[label].misfit + _ROLLED * last.misfit
     groups = {score.group.label: score.group for score in near}
@@ -376,7 +378,8 @@ def take_back(study: Study, found: Search, term: Term) -> None:
     responses = study.respond(start, columns, f"without {label}", anew={"solver"})
     without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
     found.removed.append(label)
-    found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns))
+    by_mesh = {column: by for column, by in found.fit.by_mesh.items() if column in columns}
+    found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns), by_mesh=by_mesh)
 
 
 def _lost(fitted: Fit, term: Term) -> float:

@@ -175,6 +175,7 @@ class Fit:
         most: what each window may count at most (W,).
         converged: whether another step promised nothing.
         follow: of columns that screens do not know, what those of the effect that theirs refines do to them.
+        by_mesh: how far columns went because the mesh's error was told of the fitted model.
     """
 
     origin: Model
@@ -187,6 +188,7 @@ class Fit:
     most: np.ndarray
     converged: bool = False
     follow: Mapping[Column, Mapping[Column, float]] = field(default_factory=dict)
+    by_mesh: Mapping[Column, float] = field(default_factory=dict)
 
     @property
     def change(self) -> np.ndarray:
@@ -336,17 +338,19 @@ def retold(
     """
     if study.mesh is None:
         return best
-    path, there = [best.change], best.model
+    path, there, before = [best.change], best.model, best.by_mesh
     for _ in range(RETELLINGS):
         told = study.respond(there, best.columns, what, anew={"solver"})
         best = _judged(best.origin, there, best.columns, told, variance, weight, best.most, best.first)
         if best.settled:
-            return replace(best, converged=True)
+            best = replace(best, converged=True)
+            break
         best = refined(study, best, variance, weight, what)
         path.append(best.change)
         further = _way_left(path, best.evidence.normal[0])
         there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model
-    return best
+    gone = dict(zip(best.columns, map(float, best.change - path[0]), strict=True))
+    return replace(best, by_mesh={column: float(np.hypot(by, before.get(column, 0.0))) for column, by in gone.items()})
 
 
 def _way_left(path: Sequence[np.ndarray], metric: np.ndarray) -> np.ndarray:

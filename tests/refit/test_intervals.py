@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from caphy.refit.columns import Column
 from caphy.refit.evidence import Evidence
 from caphy.refit.intervals import half_widths, intervals
 from caphy.refit.learned import Learned
-from caphy.refit.study import Fit
+from caphy.refit.study import Fit, _way_left
 
 DRAG, PRESSURE = Column("mass_damping", "rate"), Column("pressure", "pressure")
 MODEL = Model(0.2, {"gravity": {}})
@@ -96,3 +98,24 @@ def test_an_interval_ends_where_the_parameter_does():
     _, low, high, _ = intervals(fit, None, 3)["mass_damping.rate"]
     assert half_widths(known, 0.0)[0][0] > 1e-3
     assert low == 0.0 and high > 1e-3
+
+
+def test_what_retelling_the_mesh_moved_is_in_doubt():
+    """A number that went half a unit because of it may be half a unit off, on either side, beside all else."""
+    known, fitted = windows(np.array([0.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=2.0)
+    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
+    plain, wide = (
+        intervals(one, None, 3)["mass_damping.rate"] for one in (fit, replace(fit, by_mesh={DRAG: 0.5, PRESSURE: 9.0}))
+    )
+    for end in (1, 2):
+        assert abs(wide[end] - 2.0) == pytest.approx(np.hypot(plain[end] - 2.0, 0.5), rel=1e-6)
+
+
+def test_the_way_that_is_left_is_told_by_two_steps():
+    """Steps of 1 and 1/2 lead one further; steps that turn, or do not shrink, are not followed that far."""
+    metric = np.diag([1.0, 4.0])
+    points = [np.zeros(2), np.array([1.0, -2.0]), np.array([1.5, -3.0])]
+    np.testing.assert_allclose(_way_left(points, metric), [0.5, -1.0])
+    np.testing.assert_array_equal(_way_left([*points[:2], np.array([1.5, -1.0])], metric), 0.0)
+    np.testing.assert_allclose(_way_left([0 * points[0], points[1], 2 * points[1]], metric), 4 * points[1])
+    np.testing.assert_array_equal(_way_left(points[:2], metric), 0.0)
