@@ -106,6 +106,8 @@ def _plane(garment: Garment) -> tuple[np.ndarray, np.ndarray] | None:
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
     axes[1] *= np.sign(np.cross(axes[0], axes[1]) @ normal)
     flat = centred @ axes[:2].T
+    if face_areas(flat, garment.faces).min() < _FLAT * size**2:
+        return None
     sides, rest = (c[:, 1:] - c[:, :1] for c in (flat[garment.faces], garment.material))
     metric = np.linalg.solve(sides, rest)  # (F, 2, 2): sides @ metric = rest
     usual = np.median(metric, axis=0)

@@ -145,5 +145,10 @@ def test_cloth_that_is_not_flat_or_not_even_is_left_to_quarters():
     graded = sheet.vertices.copy()
     graded[:, 0] *= 0.1 + np.abs(graded[:, 0])
     assert Lattice.of(replace(sheet, vertices=graded, material=graded[sheet.faces][..., :2])) is None
+    squashed = sheet.vertices.copy()
+    squashed[20] = squashed[21]
+    assert Lattice.of(replace(sheet, vertices=squashed)) is None
+    faces, turned = np.concatenate([sheet.faces, sheet.faces[:, ::-1]]), sheet.material[:, ::-1] * [-1, 1]
+    assert Lattice.of(replace(sheet, faces=faces, material=np.concatenate([sheet.material, turned]))) is None
     puckered = replace(sheet, material=sheet.material * (1 + 0.02 * sheet.vertices[sheet.faces, 1])[..., None])
     assert Lattice.of(puckered) is None
