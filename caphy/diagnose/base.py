@@ -46,7 +46,7 @@ A stiffness that is too high looks like more of a mesh that locks. With 30 % too
 
 _OFF = 0.05  # of the misfit: what parameters must explain by themselves, in windows left out, to be moved for good
 _FOLD = 0.2  # of the misfit: what they must explain for each factor of e by which one of them moves
-_FITS = 3  # of them at most
+_FITS = 3  # times that they are fitted, at most
 _SURE = 20.0  # squared estimate over squared error of these
 
 

@@ -378,8 +378,8 @@ def take_back(study: Study, found: Search, term: Term) -> None:
     responses = study.respond(start, columns, f"without {label}", anew={"solver"})
     without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
     found.removed.append(label)
-    by_mesh = {column: by for column, by in found.fit.by_mesh.items() if column in columns}
-    found.terms, found.fit = others, replace(without, origin=first.model, first=_told(first, columns), by_mesh=by_mesh)
+    known = replace(without, origin=first.model, first=_told(first, columns), by_mesh=found.fit.by_mesh)
+    found.terms, found.fit = others, known
 
 
 def _lost(fitted: Fit, term: Term) -> float:

@@ -23,7 +23,7 @@ _FLAT = 1e-3  # of an edge: how far from a plane, and rest shapes from one metri
 _EVEN = 3.0  # times: how much larger nearly all faces may be than others for one length of edge to suit all
 _APART = 0.7  # of an edge: how near points of the lattice may be to the rim
 _TURN = 0.45  # [rad] of the lattice, so that it lies along no threads
-_ROUNDS = 30
+_ROUNDS = 30  # of evening out
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +55,14 @@ class Lattice:
         plane = _plane(coarse)
         if plane is None:
             return None
-        pairs = edges(coarse.faces)
+        pairs, rim = edges(coarse.faces), boundary_edges(coarse.faces)
         held = np.zeros(len(coarse.vertices), bool) if fixed is None else fixed
-        single = np.union1d(boundary_edges(coarse.faces), np.flatnonzero(held))
-        double = np.concatenate([np.sort(boundary_edges(coarse.faces)), pairs[held[pairs].all(axis=1)]])
+        single = np.union1d(rim, np.flatnonzero(held))
+        double = np.concatenate([np.sort(rim), pairs[held[pairs].all(axis=1)]])
         kept = np.concatenate([np.repeat(single, 2).reshape(-1, 2), np.unique(double, axis=0)])
         flat, metric = plane
         points = flat[kept].mean(axis=1)
-        meshed = _meshed(flat, coarse.faces, points, boundary_edges(coarse.faces))
+        meshed = _meshed(flat, coarse.faces, points, rim)
         if meshed is None:
             return None
         points, faces = meshed

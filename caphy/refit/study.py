@@ -175,7 +175,8 @@ class Fit:
         most: what each window may count at most (W,).
         converged: whether another step promised nothing.
         follow: of columns that screens do not know, what those of the effect that theirs refines do to them.
-        by_mesh: how far columns went because the mesh's error was told of the fitted model.
+        by_mesh: how far columns, also some that are fitted no more, went because the mesh's error was told of the
+            fitted model.
     """
 
     origin: Model
@@ -349,8 +350,8 @@ def retold(
         path.append(best.change)
         further = _way_left(path, best.evidence.normal[0])
         there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model
-    gone = dict(zip(best.columns, map(float, best.change - path[0]), strict=True))
-    return replace(best, by_mesh={column: float(np.hypot(by, before.get(column, 0.0))) for column, by in gone.items()})
+    gone = zip(best.columns, best.change - path[0], strict=True)
+    return replace(best, by_mesh={column: float(np.hypot(by, before.get(column, 0.0))) for column, by in gone})
 
 
 def _way_left(path: Sequence[np.ndarray], metric: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from explicit_cloth import measured, simulate
@@ -9,9 +11,11 @@ from explicit_cloth import measured, simulate
 from caphy.diagnose.search import _in_setting, screen
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
-from caphy.refit.evidence import evidence
+from caphy.refit.columns import addition, further
+from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.laws import told_further
 from caphy.refit.settings import best_setting, in_setting, settings
-from caphy.refit.study import Study
+from caphy.refit.study import Study, fit
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 
@@ -33,3 +37,16 @@ def test_another_setting_is_weighed_as_if_all_had_been_rolled_out_in_it():
     before = {score.group.label: score.gain for score in first.scores}
     assert [s.group.label for s in found.scores if s.gain != pytest.approx(before[s.group.label])] == ["gust"]
     assert "gust" not in found.elsewhere
+
+
+def test_what_retelling_the_mesh_moved_is_still_known_once_a_frequency_is_fitted():
+    """Else intervals of an effect that stays would shrink because another one was looked at more closely."""
+    study = Study([Scene.of(measured(*simulate(), seed=1))])
+    columns, model = addition("mass_damping") + addition("gust"), MODEL.with_effect("gust", frequency=1.2)
+    windows = study.respond(model, columns)
+    variance = study.variance(windows)
+    weight = robust_weights(evidence(windows, variance))
+    best = replace(fit(study, model, columns, windows, variance, weight, rounds=1), by_mesh={columns[0]: 0.25})
+    on = told_further(study, best, "gust", variance, weight)
+    assert set(on.columns) == {*columns, *further("gust")}
+    assert on.by_mesh[columns[0]] == 0.25
