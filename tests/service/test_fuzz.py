@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import anyio
 import numpy as np
+import pytest
 from fastapi import FastAPI
+from fastapi.testclient import TestClient
 from test_app import FRAMES, body_of
 
+from service.app import create_app
 from service.openinference.messages import HEADER_LENGTH
+from service.settings import Settings
 
 REQUESTS = 5000
 JSON_REQUESTS = 1000
@@ -37,6 +42,14 @@ def mutated(body: bytes, rng: np.random.Generator, head: int = 40) -> bytes:
             case 4:
                 changed[at : at + 4] = rng.choice([b"\xff\xff\xff\xff", b"\0\0\xc0\x7f", b"\0\0\0\0", b"\0\0\x80\xff"])
     return bytes(changed)
+
+
+@pytest.fixture(scope="module")
+def http(avatars: Path) -> Iterator[TestClient]:
+    """Without the limit of requests per second, which a fast machine reaches here, so that all are read."""
+    settings = Settings(avatars=avatars, max_client_rate=1e9)
+    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+        yield client
 
 
 async def post(app: FastAPI, path: str, body: bytes, headers: list[tuple[bytes, bytes]]) -> tuple[int, bytes]:
