@@ -248,8 +248,6 @@ def _hung(
     """The chosen style with eases that hang as the plainest scans show, or its own, and what it makes."""
     from dataclasses import replace
 
-    import numpy as np
-
     from caphy.effects.cloth import Cloth
     from caphy.register.eases import hung_eases
     from caphy.register.girth import Sheet
@@ -258,8 +256,7 @@ def _hung(
     def cut(style: Family) -> Garment:
         """Refuses faces without area, as tight cuts may have."""
         garment = made(replace(choice, style=style), figure)
-        stored = garment.material.astype(np.float32).astype(float)  # as files hold it
-        Cloth.of(replace(garment, material=stored), model.density)
+        Cloth.of(garment, model.density)
         return garment
 
     sheets = [Sheet.of(scan, kind) for scan in scans]

@@ -10,6 +10,8 @@ from caphy.garment import topology
 
 Field = Callable[[np.ndarray], np.ndarray]
 """A scalar field: points (N, 3) [m] to values (N,) [m]."""
+SHORTEST = 0.25
+"""Shortest edge of a cut sheet as a share of the edge length asked for; remeshing leaves most above a half."""
 
 
 def contour(field: Field, low: np.ndarray, high: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -103,7 +105,53 @@ def cut_sheet(
     kept = np.all([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=0)
     faces = faces[kept]
     vertices, faces = drop_unused(vertices, faces[topology.components(faces)[0]])
+    vertices, faces = collapse_short(vertices, faces, SHORTEST * edge_length)
     return remesh_botsch(vertices, faces, 4, edge_length, True)  # settles the interior behind the new boundary
+
+
+def collapse_short(vertices: np.ndarray, faces: np.ndarray, shortest: float) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh with edges below ``shortest`` [m] drawn together, each to its middle or to its end on the boundary.
+
+    Remeshing keeps vertices where creases meet or the sheet ends as they are, however close they lie, and a triangle
+    between two of them has hardly any area (or none), so no rest shape. An edge stays where its collapse would
+    change the topology (link condition, Dey et al. 1999) or turn a neighbouring face over.
+    """
+    stuck: set[tuple[int, int]] = set()
+    while True:
+        edge = topology.edges(faces)
+        length = np.linalg.norm(vertices[edge[:, 0]] - vertices[edge[:, 1]], axis=1)
+        order = np.argsort(length, kind="stable")
+        todo = [(a, b) for a, b in edge[order[: np.count_nonzero(length < shortest)]].tolist() if (a, b) not in stuck]
+        if not todo:
+            return drop_unused(vertices, faces)
+        collapsed = _collapse(vertices, faces, *todo[0])
+        if collapsed is None:
+            stuck.add(todo[0])
+        else:
+            vertices, faces = collapsed
+            stuck.clear()
+
+
+def _collapse(vertices: np.ndarray, faces: np.ndarray, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """The mesh with vertex ``b`` drawn into ``a``, or None where that would spoil it."""
+    border = topology.boundary_edges(faces)
+    with_a, with_b = (faces == a).any(axis=1), (faces == b).any(axis=1)
+    shared = with_a & with_b
+    on_border = [bool((border == v).any()) for v in (a, b)]
+    if all(on_border) and shared.sum() == 2:  # joins two borders, or pinches one
+        return None
+    if len(np.intersect1d(faces[with_a], faces[with_b])) != 2 + shared.sum():
+        return None
+    place = vertices[a] if on_border == [True, False] else vertices[b] if on_border == [False, True] else None
+    moved = vertices.copy()
+    moved[a] = 0.5 * (vertices[a] + vertices[b]) if place is None else place
+    ring = (with_a | with_b) & ~shared
+    turned = np.where(faces == b, a, faces)
+    normal = topology.face_normals(vertices, faces[ring])
+    whole = topology.face_areas(vertices, faces[ring]) > 0
+    if ((topology.face_normals(moved, turned[ring]) * normal).sum(axis=1)[whole] <= 0).any():
+        return None
+    return moved, turned[~shared]
 
 
 def drop_unused(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -148,3 +148,19 @@ def test_a_face_without_rest_area_is_refused() -> None:
 
     with pytest.raises(CaphyError, match="'sliver': every face needs a rest area, but 1 of 1 have none"):
         Cloth.of(Sliver(), 0.2)
+
+
+def test_an_area_that_rounding_left_is_none() -> None:
+    """Two vertices in one place have material corners 1e-11 m apart where the face was laid flat."""
+
+    class Sliver:
+        name = "sliver"
+        vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0]], dtype=float)
+        faces = np.array([[0, 1, 2]] * 3 + [[0, 2, 3], [1, 3, 2]])
+        material = np.array(
+            [[[0, 0], [1, 0], [0, 1]]] * 3 + [[[0, 0], [0, 1], [-1e-11, 1]], [[0, 0], [1, 1e-11], [1, 0]]]
+        )
+        layer_thickness = attached = np.zeros(4)
+
+    with pytest.raises(CaphyError, match=r"2 of 5 have none \(first: face 3\)"):
+        Cloth.of(Sliver(), 0.2)
