@@ -6,12 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from caphy.errors import CaphyError
 from caphy.garment import topology
 
 Field = Callable[[np.ndarray], np.ndarray]
 """A scalar field: points (N, 3) [m] to values (N,) [m]."""
 SHORTEST = 0.25
 """Shortest edge of a cut sheet as a share of the edge length asked for; remeshing leaves most above a half."""
+LEAST_AREA = 0.01
+"""Least area of a cut sheet's faces as a share of their median."""
 
 
 def contour(field: Field, low: np.ndarray, high: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -84,29 +87,55 @@ def _split(face: list[int], cut: list[int | None]) -> list[list[int]]:
 
 
 def cut_sheet(
-    vertices: np.ndarray, faces: np.ndarray, keep: Sequence[Field], edge_length: float, iterations: int = 12
+    vertices: np.ndarray, faces: np.ndarray, keep: Sequence[Field], edge_length: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The part of a surface where every field of ``keep`` is positive, remeshed to ``edge_length`` [m].
 
     Curves where a field vanishes become smooth boundaries with evenly spaced vertices: the surface is remeshed
     with the curves as crease lines (Botsch and Kobbelt 2004, in gpytoolbox), then what lies beyond is dropped.
-    """
-    from gpytoolbox import remesh_botsch
+    Where that tears a crease, as it may where cloth lies tight and edges are long, it is tried by way of edges half
+    as long.
 
+    Raises
+        CaphyError: if the surface turns too sharply for edges of that length.
+    """
     margin = 2.5 * edge_length
     for field in keep:
         faces = faces[(field(vertices)[faces] > -margin).any(axis=1)]
         vertices, faces = drop_unused(vertices, faces)
         vertices, faces = insert_curve(vertices, faces, field)
-    inside = np.stack([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=1)
-    sides = inside[topology.hinge_faces(faces)]
-    crease = topology.hinges(faces)[(sides[:, 0] != sides[:, 1]).any(axis=1), :2]
-    vertices, faces = remesh_botsch(vertices, faces, iterations, edge_length, True, feature_edges=crease)
+    for lengths in ((edge_length,), (0.5 * edge_length, edge_length)):
+        sheet = _remeshed(vertices, faces, keep, lengths)
+        if _clean(*sheet):
+            return sheet
+    raise CaphyError(
+        f"the cut turns too sharply for edges of {1e3 * edge_length:.1f} mm: faces would fold over or have no area; "
+        "ask for a shorter edge_length or for more ease"
+    )
+
+
+def _remeshed(
+    vertices: np.ndarray, faces: np.ndarray, keep: Sequence[Field], lengths: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The sheet, remeshed to each of ``lengths`` [m] in turn along the curves, which edges of the mesh follow."""
+    from gpytoolbox import remesh_botsch
+
+    for length in lengths:
+        inside = np.stack([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=1)
+        sides = inside[topology.hinge_faces(faces)]
+        crease = topology.hinges(faces)[(sides[:, 0] != sides[:, 1]).any(axis=1), :2]
+        vertices, faces = remesh_botsch(vertices, faces, 12, length, True, feature_edges=crease)
     kept = np.all([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=0)
     faces = faces[kept]
     vertices, faces = drop_unused(vertices, faces[topology.components(faces)[0]])
-    vertices, faces = collapse_short(vertices, faces, SHORTEST * edge_length)
-    return remesh_botsch(vertices, faces, 4, edge_length, True)  # settles the interior behind the new boundary
+    vertices, faces = collapse_short(vertices, faces, SHORTEST * lengths[-1])
+    return remesh_botsch(vertices, faces, 4, lengths[-1], True)  # settles the interior behind the new boundary
+
+
+def _clean(vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether the mesh is a manifold and each face has its share of area."""
+    areas = topology.face_areas(vertices, faces)
+    return not topology.check_manifold(faces, len(vertices)) and areas.min() > LEAST_AREA * np.median(areas)
 
 
 def collapse_short(vertices: np.ndarray, faces: np.ndarray, shortest: float) -> tuple[np.ndarray, np.ndarray]:

@@ -38,8 +38,8 @@ SCANS, ROUNDS = 3, 3
 """Scans in which a style is hung, the plainest, and how often."""
 ON_THE_WAY = 0.5
 """Time from the T-pose into a scan's pose [s]."""
-EDGE_LENGTH = 0.036
-"""Of the mesh that is hung [m]: eases are no matter of small folds."""
+EDGE_LENGTHS = (0.036, 0.033, 0.030)
+"""Of the mesh that is hung [m]: eases are no matter of small folds. The first that the style can be cut in."""
 SPREAD = {"ease": 0.02, "sleeve_ease": 0.02, "leg_ease": 0.02, "flare": 0.1, "taper": 0.06}
 """How far eases may be off [m, or metres per metre]: standard deviation of what is known of each before."""
 MOST = {"ease": 0.1, "sleeve_ease": 0.06, "leg_ease": 0.1, "flare": 0.5, "taper": 0.3}
@@ -102,8 +102,15 @@ def hung_eases(
 
 def _coarse(style: Family, body: BodyModel, model: Model) -> tuple[Garment, Cloth]:
     """A style in a coarse mesh that can be simulated."""
-    garment = make(replace(style, edge_length=EDGE_LENGTH), body)
-    return garment, Cloth.of(garment, model.density)
+    failed: CaphyError | None = None
+    for edge_length in EDGE_LENGTHS:
+        try:
+            garment = make(replace(style, edge_length=edge_length), body)
+            return garment, Cloth.of(garment, model.density)
+        except CaphyError as error:
+            failed = error
+    assert failed is not None
+    raise failed
 
 
 def hung(garment: Garment, cloth: Cloth, body: BodyModel, placement: Placement, model: Model) -> np.ndarray:

@@ -7,8 +7,9 @@ import pytest
 import trimesh
 
 from caphy.body.bundled import default_body
+from caphy.errors import CaphyError
 from caphy.garment import topology
-from caphy.garment.families import Tshirt, make
+from caphy.garment.families import LongSleeve, Tshirt, make
 from caphy.garment.meshing import SHORTEST, collapse_short
 
 STYLE = {  # a cut whose cuffs the remesher leaves with two vertices in one place
@@ -21,6 +22,7 @@ STYLE = {  # a cut whose cuffs the remesher leaves with two vertices in one plac
     "sleeve_ease": 0.00411313064042957,
     "edge_length": 0.03,
 }
+TIGHT = {"sleeve": 0.27, "length": 0.7, "ease": 0.012, "sleeve_ease": 0.0, "flare": 0.0}
 
 
 def grid(count: int):
@@ -81,3 +83,18 @@ def test_a_cut_whose_cuff_had_faces_without_area():
     assert garment.rest_areas.min() > 0.05 * np.median(garment.rest_areas)
     ends = garment.vertices[topology.edges(garment.faces)]
     assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).min() > 0.9 * SHORTEST * STYLE["edge_length"]
+
+
+@pytest.mark.parametrize("edge_length", [0.0205, 0.036])
+def test_a_tight_sleeve_is_a_clean_sheet(edge_length):
+    """With edges of 36 mm the remesher tears the cuff."""
+    garment = make(Tshirt(**TIGHT, edge_length=edge_length), default_body("medium"))
+    assert not topology.check_manifold(garment.faces, len(garment.vertices))
+    assert len(garment.boundary_loops) == 4
+    assert garment.rest_areas.min() > 0.05 * np.median(garment.rest_areas)
+
+
+def test_a_sheet_that_tears_is_refused():
+    """A jersey's sleeves end in a point with such edges."""
+    with pytest.raises(CaphyError, match=r"too sharply for edges of 50\.0 mm.*shorter edge_length or for more ease"):
+        make(LongSleeve(ease=0.009, sleeve_ease=0.0, flare=0.0, edge_length=0.05), default_body("medium"))

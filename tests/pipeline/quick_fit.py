@@ -44,7 +44,7 @@ def hurry(put=setattr) -> None:
     put(
         template,
         "made",
-        lambda choice, figure: make(replace(choice.style, edge_length=0.048), template.dressed_body(figure)),
+        lambda choice, figure: make(replace(choice.style, edge_length=0.036), template.dressed_body(figure)),
     )
     put(collide, "LEAST_STEPS", 2)
     put(fabric, "main", softer)
