@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,11 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read a folder that ``caphy train`` wrote; raises CaphyError where garment and network are missing or differ."""
+    """Read a folder that ``caphy train`` wrote.
+
+    Raises
+        CaphyError: where garment and network are missing or differ, or what was measured of them is not finite.
+    """
     network = load_network(folder / NETWORK)
     garment = Garment.load(folder / GARMENT)
     if network.template.shape != garment.vertices.shape or not np.allclose(
@@ -72,5 +77,16 @@ def _measured(folder: Path) -> dict[str, Any]:
     lines = path.read_text().splitlines() if path.is_file() else []
     validations = [line for line in lines if '"validation"' in line]
     last = json.loads(validations[-1])["validation"] if validations else {}
+    wrong = [key for key, value in _numbers(last) if not math.isfinite(value)]
+    if wrong:
+        raise CaphyError(
+            f"{path}: what was measured on held-out motions must be finite, {wrong[0]} is not; the training came to "
+            "nothing. Check the garment with 'caphy garment check' and the model's parameters, and train again"
+        )
     beside = _json(folder / VALIDATION)
     return last | ({"beside_solver": beside} if beside else {})
+
+
+def _numbers(measured: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    for key, value in measured.items():
+        yield from _numbers(value) if isinstance(value, Mapping) else [(key, float(value))]

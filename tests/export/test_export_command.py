@@ -85,3 +85,14 @@ def test_what_the_user_can_put_right(tmp_path, capsys):
     shell("trousers").save(other / "garment.npz")
     assert main(["export", str(other), *out]) == 2
     assert "is not the garment" in capsys.readouterr().err
+
+
+def test_a_training_that_came_to_nothing_is_refused(tmp_path, capsys):
+    """Its garment had faces without area, so that strain is not a number anywhere."""
+    run = run_folder(tmp_path, "tshirt")
+    line = {"validation": {"potential_J": 0.1, "energies_J": {"gravity": -0.1, "strain_stvk": float("nan")}}}
+    (run / "metrics.jsonl").write_text(json.dumps(line))
+    assert main(["export", str(run), "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert "metrics.jsonl" in told and "strain_stvk is not" in told and "train again" in told
+    assert not (tmp_path / "out").exists()
