@@ -152,9 +152,9 @@ def diagnose(
 
     apart = None
     if others is not None:
-        known_of, expected = ((), None) if known is None else (columns_of(found.screens[0].groups)[0], known.correction)
+        known_of = () if known is None else columns_of(found.screens[0].groups)[0]
         others.mesh = study.mesh
-        apart = Apart(others, found.screens[0].variance, known_of, expected)
+        apart = Apart(others, found.screens[0].variance, known_of, known)
         found = each_proven(study, found, apart.errors)
     settle_laws(study, found, apart)
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)

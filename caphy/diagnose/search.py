@@ -174,7 +174,7 @@ def screen(
     looked = [Settings(model, group.name) for group in library(model, study.on_body) if settings(group.name)]
     probed = study.respond(model, columns, "screening", _Together((Probes(model), *looked)), anew={"start"})
     if first is None and base is not None:
-        probed = study.correct(probed, columns, base.correction)
+        probed = study.correct(probed, columns, base.correction_in(probed, columns))
     responses = picked(probed, range(len(columns)))
     variance = first.variance if first else base.variance if base else study.variance(responses)
     weight = first.evidence.weight if first else robust_weights(evidence(responses, variance))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from caphy.measure.noise import measurement_noise
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
 from caphy.refit.laws import Way
+from caphy.refit.learned import Learned
 from caphy.refit.responses import Response
 from caphy.refit.study import Fit, Study, picked, share_gone
 
@@ -61,10 +62,10 @@ class Apart:
         study: Study,
         variance: np.ndarray,
         columns: Sequence[Column] = (),
-        known: Mapping[str, float] | None = None,
+        learned: Learned | None = None,
     ) -> None:
-        """``columns`` and ``known`` are what base measurements taught to expect, as in :meth:`Study.correct`."""
-        self.study, self.variance, self.columns, self.known = study, variance, tuple(columns), known or {}
+        """``learned`` from base measurements tells how much of ``columns`` to expect."""
+        self.study, self.variance, self.columns, self.learned = study, variance, tuple(columns), learned
         self._before: tuple[object, Study, list[Response]] | None = None  # of the origin that was asked for last
 
     def errors(self, fitted: Fit) -> HeldOut:
@@ -97,5 +98,6 @@ class Apart:
         if self._before is None or self._before[0] != which:
             study = self.study.afresh()
             old = study.respond(origin, columns, "held-out windows", anew={"solver"})
-            self._before = which, study, study.correct(old, columns, self.known)
+            known = {} if self.learned is None else self.learned.correction_in(old, columns)
+            self._before = which, study, study.correct(old, columns, known)
         return self._before[1:]

@@ -53,7 +53,7 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     measurements do not know that part of the error, and with two meshes nothing tells what is left of it (the grid
     convergence index of Roache 1994, J. Fluids Eng. 116, with its factor of safety of 3).
     """
-    known = 0.0 if learned is None else learned.doubt(fit.columns, motions, fit.follow)
+    known = 0.0 if learned is None else learned.doubt(fit.columns, motions, fit.follow, fit.first)
     by_mesh = np.array([fit.by_mesh.get(column, 0.0) for column in fit.columns])
     known = np.hypot(known, by_mesh / norm.ppf(0.5 + LEVEL / 2))
     own, wide = half_widths(fit.evidence, known, np.hypot(known, fit.step))

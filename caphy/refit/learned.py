@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column
-from caphy.refit.evidence import Evidence, ridged
+from caphy.refit.evidence import Evidence, evidence, ridged
+from caphy.refit.responses import Response
+
+REACH = 10.0
+"""Times the curvature that a number has in windows of the base, in the mean: up to which they teach what to expect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +40,31 @@ class Learned:
     ridge: float
     mesh: float
 
+    def correction_in(self, responses: Sequence[Response], columns: Sequence[Column]) -> dict[str, float]:
+        """How much of each column to expect in windows, by name; ``columns`` are the first of the responses'.
+
+        Where these windows have more than :data:`REACH` times the curvature of the base's, a correction is shrunk in
+        proportion. One window of a base that brushed a ball told a friction of -0.47, which is nothing there; where
+        cloth rests on the ball it was five sixths of all that windows missed.
+        """
+        places = [(place, columns.index(column)) for place, column in enumerate(self.columns) if column in columns]
+        own, here = ([pair[k] for pair in places] for k in (0, 1))
+        known = [replace(response, columns=response.columns[..., here]) for response in responses]
+        held = self._held(own, _curvature(evidence(known, self.variance)))
+        names = [self.columns[k].name for k in own]
+        return {name: self.correction[name] * by for name, by in zip(names, held.tolist(), strict=True)}
+
+    def _held(self, places: Sequence[int], curvature: np.ndarray) -> np.ndarray:
+        """Shares of what the base tells of its columns at ``places`` that hold in windows of other curvature (K,)."""
+        known = REACH * _curvature(self.told)[list(places)]
+        return np.where(curvature > known, known / np.maximum(curvature, 1e-300), 1.0)
+
     def doubt(
-        self, columns: Sequence[Column], count: int, follow: Mapping[Column, Mapping[Column, float]] | None = None
+        self,
+        columns: Sequence[Column],
+        count: int,
+        follow: Mapping[Column, Mapping[Column, float]] | None = None,
+        known: Evidence | None = None,
     ) -> np.ndarray:
         """Standard errors (K,) of numbers fitted to ``count`` motions, by what mesh and solver get wrong in them.
 
@@ -48,6 +75,8 @@ class Learned:
         Args:
             follow: for columns that base measurements do not know, those that they do know, and how far one unit of
                 each leads astray.
+            known: the windows that numbers are fitted to, in ``columns``: where these are moved far more than the
+                base's, errors are taken to be as large beside what windows tell, not beside the number.
         """
         meant = [(follow or {}).get(column, {column: 1.0}) for column in columns]
         places = sorted({self.columns.index(other) for each in meant for other in each if other in self.columns})
@@ -56,7 +85,12 @@ class Learned:
         by = np.array([[each.get(self.columns[place], 0.0) for place in places] for each in meant])
         found = by @ np.array([self._left_in(motion, places) for motion in np.unique(self.motions)]).T
         corrected = by @ [self.correction.get(self.columns[place].name, 0.0) for place in places]
-        return np.hypot(np.sqrt((found**2).mean(axis=1) / count), corrected)
+        doubts = np.hypot(np.sqrt((found**2).mean(axis=1) / count), corrected)
+        if known is not None:
+            same = [k for k, column in enumerate(columns) if column in self.columns and meant[k] == {column: 1.0}]
+            own = [self.columns.index(columns[k]) for k in same]
+            doubts[same] *= np.sqrt(self._held(own, _curvature(known)[same]))
+        return doubts
 
     def _left_in(self, motion: int, places: Sequence[int]) -> np.ndarray:
         """Numbers fitted to one motion corrected by all the others."""
@@ -69,3 +103,8 @@ class Learned:
 
     def _sums(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.einsum("w,wkl->kl", weight, self.told.a), weight @ self.told.b
+
+
+def _curvature(known: Evidence) -> np.ndarray:
+    """Mean over windows of each number's own curvature (K,)."""
+    return np.einsum("wkk->k", known.a) / len(known.a)

@@ -85,8 +85,7 @@ def refit(
     proof = Study(apart, progress=progress, crew=crew, mesh=mesh) if apart else _split(study)
     fitted, first, removed = _fitted(study, model, names, learned)
     variance = first.variance
-    known = () if learned is None else learned.columns, {} if learned is None else learned.correction
-    errors = Apart(proof, variance, *known).errors(fitted)
+    errors = Apart(proof, variance, () if learned is None else learned.columns, learned).errors(fitted)
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
@@ -149,7 +148,8 @@ def _fitted(
         variance = study.variance(responses)
     else:
         every = (*learned.columns, *(column for column in columns if column not in learned.columns))
-        responses = study.correct(study.respond(model, every, "before"), every, learned.correction)
+        responses = study.respond(model, every, "before")
+        responses = study.correct(responses, every, learned.correction_in(responses, every))
         responses = picked(responses, [every.index(column) for column in columns])
         variance = learned.variance
     known = evidence(responses, variance)

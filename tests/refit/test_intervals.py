@@ -12,6 +12,7 @@ from caphy.refit.columns import Column
 from caphy.refit.evidence import Evidence
 from caphy.refit.intervals import half_widths, intervals
 from caphy.refit.learned import Learned
+from caphy.refit.responses import Response
 from caphy.refit.study import Fit, _way_left
 
 DRAG, PRESSURE = Column("mass_damping", "rate"), Column("pressure", "pressure")
@@ -70,6 +71,36 @@ def test_a_law_is_doubted_as_far_as_the_effect_that_it_refines_leads_it_astray()
     known = learned([1.0, 3.0])
     (alone,), both = known.doubt((DRAG,), 4), known.doubt((wind, PRESSURE), 4, {wind: {DRAG: -0.5, PRESSURE: 7.0}})
     np.testing.assert_allclose(both, [0.5 * alone, 0.0], rtol=1e-5)
+
+
+def moved_more(by: float) -> list[Response]:
+    """Windows in which the first number has so many times the curvature of :func:`learned`'s, the second as much."""
+    columns = np.zeros((13, 1, 3, 2))
+    columns[0, 0, 0, 0], columns[1, 0, 0, 1] = np.sqrt(4.0 * by), 3.0
+    rest = np.zeros((13, 1, 3))
+    seen = np.ones(13, bool)
+    return [Response(0, 0, rest, seen, columns, np.zeros((13, 1, 3, 0)), rest[..., 0], seen)] * 5
+
+
+def test_what_the_base_hardly_moved_is_not_expected_where_it_moves():
+    """A number's correction holds up to ten times the base's curvature, and falls with what is beyond."""
+    known = replace(learned([1.0, 3.0]), variance=np.ones((13, 1)))
+    known = replace(known, correction={DRAG.name: 2.0, PRESSURE.name: 0.5})
+    for by, expected in ((1.0, 2.0), (9.9, 2.0), (1e4, 2.0 * 10 / 1e4)):
+        told = known.correction_in(moved_more(by), (DRAG, PRESSURE))
+        assert told == pytest.approx({DRAG.name: expected, PRESSURE.name: 0.5})
+    assert known.correction_in(moved_more(1.0), (PRESSURE,)) == pytest.approx({PRESSURE.name: 0.5})
+
+
+def test_doubts_keep_their_size_beside_what_windows_tell():
+    known = learned([1.0, 3.0])
+    plain = known.doubt((DRAG, PRESSURE), 4)
+    for by, share in ((5.0, 1.0), (1e3, np.sqrt(10 / 1e3))):
+        here = replace(known.told, a=known.told.a * by)
+        np.testing.assert_allclose(known.doubt((DRAG, PRESSURE), 4, known=here), share * plain)
+    wind = Column("wind_normal_quadratic", "velocity", (0,))
+    followed = known.doubt((wind,), 4, {wind: {DRAG: 1.0}}, replace(known.told, a=known.told.a[:, :1, :1] * 1e3))
+    np.testing.assert_allclose(followed, plain[:1], rtol=1e-5)
 
 
 def test_doubt_adds_to_what_resampling_shows():
