@@ -74,6 +74,8 @@ class Step:
         lagged: positions of the last converged state, (..., V, 3) [m]; lagged coefficients are evaluated there.
         lagged_velocity: velocities of the last converged state, (..., V, 3) [m/s].
         time: when the step ends [s], for what changes by the clock (gusts); (..., 1) where batched steps end apart.
+        pressed: positions at which the body's push tells how much friction there is, (..., V, 3) [m]; where the last
+            converged state is, carried along by the body, unless given.
     """
 
     dt: float
@@ -82,6 +84,7 @@ class Step:
     lagged: Tensor
     lagged_velocity: Tensor
     time: float | Tensor = 0.0
+    pressed: Tensor | None = None
 
     @classmethod
     def implicit_euler(cls, dt: float, previous: Tensor, before: Tensor, time: float = 0.0) -> Step:
@@ -90,7 +93,8 @@ class Step:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Step:
         """This step with a function applied to each of its vertex fields."""
-        return Step(self.dt, *(function(getattr(self, field)) for field in HISTORY), time=self.time)
+        pressed = None if self.pressed is None else function(self.pressed)
+        return Step(self.dt, *(function(getattr(self, field)) for field in HISTORY), time=self.time, pressed=pressed)
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,7 @@ class Elements:
         dt: effective step [s]; None in statics.
         origin, target, lagged, lagged_velocity: as in :class:`Step`, each (k, 3, ..., n); None in statics.
         time: when the step ends [s]; None in statics.
+        pressed: as in :class:`Step`, (k, 3, ..., n); None where it is not given.
         body: as in :class:`BodyState`, name -> (3, ..., n); only for effects that read the body.
         known: what was worked out of the history before, name -> what it was worked out of and the result.
     """
@@ -136,6 +141,7 @@ class Elements:
     lagged: Tensor | None = None
     lagged_velocity: Tensor | None = None
     time: float | Tensor | None = None
+    pressed: Tensor | None = None
     body: Mapping[str, Tensor] | None = None
     known: dict[str, tuple[Tensor, Tensor]] | None = None
 

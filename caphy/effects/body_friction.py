@@ -15,8 +15,10 @@ class BodyFriction(Effect):
     """Coulomb friction on the moving body, E = dt mu N (sqrt(|v_t|^2 + s^2) - s) [J] per vertex.
 
     v_t is the tangential velocity relative to the body and s the slip speed below which friction is viscous, so that
-    the potential is smooth. N = 3 k a d^2 is the normal force of ``body_contact`` at the last converged state, carried
-    along with the body: the depth of x(t-1) + dt v_body.
+    the potential is smooth. N = 3 k a d^2 is the normal force of ``body_contact``. It is told of other positions than
+    those that are looked for, or there would be no potential: of x(t-1) + dt v_body, the last converged state carried
+    along with the body, or of where a solver says that the step ends (``pressed``), as the reference solver does, which
+    goes on until that is so.
     """
 
     name = "body_friction"
@@ -59,9 +61,8 @@ class BodyFriction(Effect):
 def _grip(e: Elements, p: Values) -> Tensor:
     """dt mu N (..., n) [N s], of the lagged contact force."""
     assert e.lagged is not None and e.body is not None and e.dt is not None
-    (lagged,) = e.lagged
-    carried = lagged + e.dt * e.body["velocity"]
-    height = dot(e.body["normal"], carried - e.body["point"])
+    (pressed,) = e.lagged + e.dt * e.body["velocity"] if e.pressed is None else e.pressed
+    height = dot(e.body["normal"], pressed - e.body["point"])
     skin = p["body_contact.distance"] + e.rest["layer"]
     depth = torch.minimum((skin - height).clamp_min(0), skin)  # body_contact pushes no harder inside
     return 3 * e.dt * p["coefficient"] * p["body_contact.stiffness"] * e.rest["area"] * depth * depth

@@ -56,7 +56,7 @@ class Recorder:
 
         def kept(step: Step, time: float) -> Tensor:
             x = solve(step, time)
-            self.stages.append(Stage(step, x))
+            self.stages.append(Stage(replace(step, pressed=x), x))
             return x
 
         return self.integrator.advance(state, dt, kept)
@@ -152,12 +152,12 @@ class Tangents:
             return [torch.zeros((0, *stages[0].x.shape), dtype=torch.float64)] * len(stages)
         fields = {name: torch.stack([getattr(s.step, name) for s in stages]) for name in HISTORY}
         times = torch.tensor([float(s.step.time) for s in stages], dtype=torch.float64)[:, None]
-        step = Step(stages[0].step.dt, **fields, time=times)
+        x = torch.stack([s.x for s in stages])
+        step = Step(stages[0].step.dt, **fields, time=times, pressed=x)
         bodies = [body for body in self._bodies(stages) if body is not None]
         body = None
         if bodies:
             body = BodyState(*(torch.stack([getattr(b, name) for b in bodies]) for name in vars(bodies[0])))
-        x = torch.stack([s.x for s in stages])
         found = [forces(self.candidates, self.columns, x, step, body)] if self.columns else []
         if self.pushes is not None:
             found.append(self.pushes(x, step, body).movedim(0, 1))
