@@ -189,7 +189,8 @@ def _along_history(term: Term, e: Elements, change: Step) -> Tensor:
     nudges = torch.where(nudges > 0, nudges, 1.0)[:, None]  # how many of them each change is
     fields = {field: getattr(e, field)[:, :, None] + term.gather(planes(v)) / nudges for field, v in by.items()}
     body = None if e.body is None else {key: value[:, None] for key, value in e.body.items()}
-    wide = replace(e, x=e.x[:, :, None].expand_as(fields["origin"]), body=body, **fields)
+    pressed = None if e.pressed is None else e.pressed[:, :, None].expand_as(fields["origin"])
+    wide = replace(e, x=e.x[:, :, None].expand_as(fields["origin"]), body=body, pressed=pressed, **fields)
     here, after = (term.effect.gradient(each, term.values)[1] for each in (e, wide))
     return term.scatter((after - here[:, :, None]) * nudges).movedim(0, -1)
 
@@ -206,7 +207,8 @@ def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_arra
     body = None if e.body is None else {key: spread(value) for key, value in e.body.items()}
     fields = {name: spread(getattr(e, name)) for name in HISTORY}
     nudge = _nudge(e, field)
-    wide = replace(e, x=spread(e.x), body=body, **{**fields, field: fields[field] + nudge * basis})
+    pressed = None if e.pressed is None else spread(e.pressed)
+    wide = replace(e, x=spread(e.x), body=body, pressed=pressed, **{**fields, field: fields[field] + nudge * basis})
     here, after = (term.effect.gradient(each, term.values)[1] for each in (e, wide))
     jacobian = ((after - here[:, :, None]) / nudge).flatten(0, 1)  # (k c, B, n)
     place = (3 * term.index.T[:, None, :] + torch.arange(3)[None, :, None]).flatten(0, 1)  # (k c, n)

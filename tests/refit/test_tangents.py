@@ -60,8 +60,9 @@ def test_responses_are_derivatives_of_the_roll_out(watched, column, step, most):
     assert np.linalg.norm(difference - tangent) < most * np.linalg.norm(tangent)
 
 
-def test_the_response_to_dry_friction_is_that_of_a_roll_out_with_it():
-    """Friction stops what slides with its first bit: the derivative at zero says nothing of what more of it does."""
+@pytest.fixture(scope="module")
+def on_ball() -> Watched:
+    """The same cloth, a ball behind it."""
     positions, keys = simulate(seconds=1.0, settle=1.5)
     ball = trimesh.creation.icosphere(2, radius=0.1)
     centre = positions[START].mean(0) + np.array([0, 0, 0.1])
@@ -69,12 +70,28 @@ def test_the_response_to_dry_friction_is_that_of_a_roll_out_with_it():
     scene = Scene.of(
         replace(measured(positions, keys), body_vertices=body, body_faces=np.asarray(ball.faces, np.int32))
     )
-    watched, model = Watched(scene, length=5), DAMPED.with_effect("body_contact")
+    return Watched(scene, length=5)
+
+
+def test_the_response_to_dry_friction_is_that_of_a_roll_out_with_it(on_ball):
+    """Friction stops what slides with its first bit: the derivative at zero says nothing of what more of it does."""
+    watched, model = on_ball, DAMPED.with_effect("body_contact")
     column = Column("body_friction", "coefficient")
     here, there = responded(watched, model, (column,)), responded(watched, moved(model, (column,), np.array([0.3])))
     told = here.columns[..., 0]
     assert np.abs(told).max() > 1e-4
     np.testing.assert_allclose(-(there.residual - here.residual) / 0.3, told, atol=1e-9)
+
+
+@pytest.mark.parametrize("few", [12, 0], ids=["along", "by matrices"])
+def test_more_friction_than_there_is_moves_cloth_as_roll_outs_do(on_ball, few, monkeypatch):
+    """Its push is that of where each step ends, which tangents take as it is: hence a tenth."""
+    monkeypatch.setattr(tangents, "_FEW", few)
+    model = DAMPED.with_effect("body_contact").with_effect("body_friction", coefficient=0.3)
+    column = Column("body_friction", "coefficient")
+    here, there = (responded(on_ball, each, (column,)) for each in (model, moved(model, (column,), np.array([0.01]))))
+    difference = -(there.residual - here.residual) / 0.01
+    assert np.linalg.norm(difference - here.columns[..., 0]) < 0.1 * np.linalg.norm(difference)
 
 
 @pytest.mark.parametrize("number", [2, 6, 31, 62, 63, 101])
