@@ -75,7 +75,7 @@ class Simulator:
     """Advances a garment in time by any integrator; each minimisation starts from cloth carried along by the body.
 
     Friction takes the push of the body from where the minimisation before it ended, in the same step, until they agree
-    (as Li et al., Incremental Potential Contact, SIGGRAPH 2020, section 5.5). From the step before it would be the push
+    (as in Incremental Potential Contact, Li et al., SIGGRAPH 2020). From the step before it would be the push
     of another stage: cloth that strikes a body lost 2.4 times as much speed along it as Coulomb's law says.
     """
 
