@@ -128,7 +128,7 @@ class Elements:
         dt: effective step [s]; None in statics.
         origin, target, lagged, lagged_velocity: as in :class:`Step`, each (k, 3, ..., n); None in statics.
         time: when the step ends [s]; None in statics.
-        pressed: as in :class:`Step`, (k, 3, ..., n); None where it is not given.
+        pressed: as in :class:`Step`, (k, 3, ..., n); only for effects that read the body, None where it is not given.
         body: as in :class:`BodyState`, name -> (3, ..., n); only for effects that read the body.
         known: what was worked out of the history before, name -> what it was worked out of and the result.
     """

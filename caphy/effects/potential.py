@@ -113,7 +113,9 @@ class Potential:
         if (kept := self._histories.get(name)) is not None and kept[0] is step:
             return kept[1]
         fields = {key: term.gather(planes(getattr(step, key))) for key in HISTORY}
-        pressed = None if step.pressed is None else term.gather(planes(step.pressed))
+        pressed = None
+        if step.pressed is not None and term.effect.needs_body:
+            pressed = term.gather(planes(step.pressed))
         told = {"dt": step.dt, "time": step.time, "pressed": pressed, "known": {}, **fields}
         if step.origin.dim() == 2:  # batches of frames take room, and come once
             self._histories[name] = step, told
