@@ -97,30 +97,30 @@ def _wald(known: Evidence, change: np.ndarray, kept: int) -> float:
 
 
 def null_gains(
-    known: Evidence, groups: Sequence[Group], places: dict[str, list[int]], model: Model, seed: int = 0
+    known: Evidence, places: Sequence[Sequence[int]], limits: tuple[np.ndarray, np.ndarray], seed: int = 0
 ) -> np.ndarray:
-    """The best gain of the whole library (R,) in replicas where nothing is missing.
+    """The best gain (R,) of some explanations in replicas where nothing is missing.
 
     Under the null a window's residual is as likely as its mirror image, whatever correlates within the window: signs
     of whole windows are drawn (Wu 1986; Cameron, Gelbach, Miller, REStat 90, 2008: the wild cluster bootstrap).
+
+    Args:
+        places: the columns of each explanation.
+        limits: lower and upper bounds of all columns.
     """
     random = np.random.default_rng(seed)
-    columns = [column for group in groups for column in group.columns]
-    lower, upper = bounds(columns, model)
     signs = random.choice([-1.0, 1.0], (FLIPS, len(known.c)))
     best = np.full(FLIPS, -np.inf)
-    null = float((known.weight * known.c).sum())
-    for group in groups:
-        index = places[group.label]
+    for some in places:
+        index = list(some)
         picked = known.picked(index)
-        best = np.maximum(best, 1 - _flipped(picked, signs, lower[index], upper[index]) / null)
+        best = np.maximum(best, gains(picked, signs[:, :, None] * picked.b, limits[0][index], limits[1][index]))
     return best
 
 
-def _flipped(known: Evidence, signs: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """chi2 (R,) over windows left out in turn, with each window's residual multiplied by signs (R, W)."""
+def gains(known: Evidence, b: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Share (R,) of the misfit that is gone in windows left out in turn, in replicas of b (R, W, K)."""
     weighted, a = known.weight, known.a
-    b = signs[:, :, None] * known.b  # (R, W, K)
     normal = np.einsum("w,wkl->kl", weighted, a) - weighted[:, None, None] * a  # without each window
     right = np.einsum("w,rwk->rk", weighted, b)[:, None] - weighted[:, None] * b
     size = np.arange(a.shape[1])
@@ -128,4 +128,5 @@ def _flipped(known: Evidence, signs: np.ndarray, lower: np.ndarray, upper: np.nd
     normal[:, size, size] += 1e-300
     fits = np.clip(np.linalg.solve(normal[None], right[..., None])[..., 0], lower, upper)
     bent = np.einsum("rwk,wkl,rwl->rw", fits, a, fits)
-    return (weighted * (known.c - 2 * (fits * b).sum(-1) + bent)).sum(-1)
+    left = (weighted * (known.c - 2 * (fits * b).sum(-1) + bent)).sum(-1)
+    return 1 - left / (weighted * known.c).sum()

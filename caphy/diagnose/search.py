@@ -9,10 +9,11 @@ import numpy as np
 import torch
 
 from caphy.diagnose.base import Base
+from caphy.diagnose.few import borrowed_gains, in_few
 from caphy.diagnose.flexible import Flexible
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import WIDTHS, Probes
-from caphy.diagnose.screen import Score, null_gains, screened
+from caphy.diagnose.screen import Score, bounds, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, changes, extended, from_the_end, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
@@ -26,8 +27,8 @@ LEAST_GAIN = 0.03
 LEAST_GAIN_OVER_BASE = 0.01
 """The same where base measurements tell what is found when nothing is missing."""
 CHANCE = 0.95
-"""Of the best gains of the library where nothing is missing, what an effect must be above. Not higher: signs of the few
-windows in which a ball is touched are drawn alike once in 2^5 or 2^6 times, which gives what was seen itself."""
+"""Of the best gains of the library where nothing is missing, what an effect must be above. Not higher: signs of five or
+six windows are drawn alike once in 2^5 or 2^6 times, which gives what was seen itself."""
 LEAST_WALD = 20.0
 """Squared estimate over squared error."""
 LEAST_WALD_OVER_BASE = 16.0
@@ -198,12 +199,16 @@ def _weighed(
     elsewhere: dict[str, list[Response]],
 ) -> Screen:
     """What windows say of all groups, and what each must gain."""
-    _, places = columns_of(groups)
+    columns, places = columns_of(groups)
     known = evidence(responses, variance, weight)
     scores = screened(known, groups, places, model)
-    chance = float(np.quantile(null_gains(known, groups, places, model), CHANCE))
-    needed = max(LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain), chance)
-    more = {group.label: _more_needed(group, base) for group in groups if base is not None}
+    few, limits = in_few(known, places), bounds(columns, model)
+    chance = null_gains(known, [index for label, index in places.items() if label not in few], limits)
+    needed = LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain)
+    needed = max(needed, float(np.quantile(chance, CHANCE)))
+    more = {group.label: 0.0 if base is None else _more_needed(group, base) for group in groups}
+    lent = borrowed_gains(known, responses, variance, [places[label] for label in few], limits)
+    more |= {label: max(more[label], float(np.quantile(lent, CHANCE))) for label in few}
     return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible, elsewhere)
 
 

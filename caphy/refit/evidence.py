@@ -68,15 +68,27 @@ def evidence(responses: Sequence[Response], variance: np.ndarray, weight: np.nda
 
 
 def _form(response: Response, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    seen = response.seen
-    scale = 1 / np.sqrt(variance[seen])[:, :, None]
+    e, s, n = whitened(response, variance)
+    a, b, c = marginalised(e[:, None], s, n)
+    return a, b[:, 0], c[0], np.array(len(e))
+
+
+def whitened(response: Response, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residual (n,), columns (n, K) and nuisances (n, N) in the frames that were seen, by the standard deviation."""
+    scale = 1 / np.sqrt(variance[response.seen])[:, :, None]
+    e = (response.residual[response.seen] * scale).reshape(-1)
     s, n = (
-        (x[seen] * scale[..., None]).reshape(scale.size * 3, x.shape[-1]) for x in (response.columns, response.nuisance)
+        (x[response.seen] * scale[..., None]).reshape(len(e), x.shape[-1])
+        for x in (response.columns, response.nuisance)
     )
-    e = (response.residual[seen] * scale).reshape(-1)
+    return e, s, n
+
+
+def marginalised(e: np.ndarray, s: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A (K, K), b (K, R) and c (R,) of R residuals (n, R) where nuisances (n, N) are free within their priors."""
     gram = np.linalg.cholesky(np.eye(n.shape[1]) + n.T @ n)
     ne, ns = (np.linalg.solve(gram, n.T @ x) for x in (e, s))
-    return s.T @ s - ns.T @ ns, s.T @ e - ns.T @ ne, np.array(e @ e - ne @ ne), np.array(len(e))
+    return s.T @ s - ns.T @ ns, s.T @ e - ns.T @ ne, (e**2).sum(0) - (ne**2).sum(0)
 
 
 def estimated_variance(responses: Sequence[Response], noise: float, ridge: float = 1e-3) -> np.ndarray:
