@@ -32,8 +32,11 @@ def deciding(known: Evidence) -> float:
 
 
 def in_few(known: Evidence, places: dict[str, list[int]]) -> list[str]:
-    """Labels of the explanations that act in few windows and leave as many or more alone, so that there is an elsewhere;
-    ``places`` are the columns of all of them."""
+    """Labels of the explanations that act in few windows and leave as many or more alone: there must be an elsewhere.
+
+    Args:
+        places: the columns of all explanations, by label.
+    """
     most = min(FEW, len(known.c) / 2)
     return [label for label, index in places.items() if deciding(known.picked(index)) < most]
 
