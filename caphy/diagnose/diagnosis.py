@@ -235,10 +235,13 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
         return "none of its numbers is surely different from zero"
     if errors is None or errors.proves(taken):
         return ""
+    doubt = f"error {100 * errors.share_error:.0f} %"
+    if errors.chance is not None:
+        doubt = f"{100 * errors.chance:.1f} % by chance, as few windows decide"
     return (
-        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted, and {100 * errors.share:.0f} % (error "
-        f"{100 * errors.share_error:.0f} %) on held-out measurements, where the median went from "
-        f"{errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
+        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted, and {100 * errors.share:.1f} % "
+        f"({doubt}) on held-out measurements, where the median went from {errors.before_mm:.2f} to "
+        f"{errors.after_mm:.2f} mm"
     )
 
 

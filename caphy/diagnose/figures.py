@@ -34,6 +34,7 @@ def figures(diagnosis: Diagnosis) -> dict:
             "noise_mm": held.floor_mm,
             "share_of_misfit_gone": held.share,
             "its_standard_error": held.share_error,
+            "share_by_chance": held.chance,
             "windows_before_mm": held.before.tolist(),
             "windows_after_mm": held.after.tolist(),
         },

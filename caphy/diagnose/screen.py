@@ -9,8 +9,10 @@ import numpy as np
 
 from caphy.diagnose.groups import Group
 from caphy.effects.model import Model
+from caphy.refit.borrowed import REPLICAS, borrowed, few
 from caphy.refit.columns import Column
 from caphy.refit.evidence import Evidence, bounded
+from caphy.refit.responses import Response
 
 FLIPS = 200
 """Replicas of the null."""
@@ -115,6 +117,37 @@ def null_gains(
         index = list(some)
         picked = known.picked(index)
         best = np.maximum(best, gains(picked, signs[:, :, None] * picked.b, limits[0][index], limits[1][index]))
+    return best
+
+
+def in_few(known: Evidence, places: dict[str, list[int]]) -> list[str]:
+    """Labels of the explanations on which few windows decide; ``places`` are the columns of all."""
+    return [label for label, index in places.items() if few(_shares(known.picked(index)))]
+
+
+def _shares(known: Evidence) -> np.ndarray:
+    """What each window (W,) adds to the curvature, all columns counted alike."""
+    return known.weight * np.einsum("wkl,lk->w", known.a, np.linalg.pinv(known.normal[0], hermitian=True))
+
+
+def borrowed_gains(
+    known: Evidence,
+    responses: Sequence[Response],
+    variance: np.ndarray,
+    places: Sequence[Sequence[int]],
+    limits: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """The best gain (R,) of some explanations where windows have other windows' residuals; :func:`null_gains` for what
+    few windows decide on. ``variance`` is of each mode at each lag (L, M) [m^2]."""
+    best = np.full(REPLICAS, -np.inf)
+    columns = sorted({place for some in places for place in some})
+    if len(responses) < 2 or not columns:
+        return best
+    b = borrowed(known, responses, variance, columns)
+    for some in places:
+        index = list(some)
+        own = b[..., [columns.index(place) for place in index]]
+        best = np.maximum(best, gains(known.picked(index), own, limits[0][index], limits[1][index]))
     return best
 
 

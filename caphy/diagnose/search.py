@@ -9,11 +9,10 @@ import numpy as np
 import torch
 
 from caphy.diagnose.base import Base
-from caphy.diagnose.few import borrowed_gains, in_few
 from caphy.diagnose.flexible import Flexible
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import WIDTHS, Probes
-from caphy.diagnose.screen import Score, bounds, null_gains, screened
+from caphy.diagnose.screen import Score, borrowed_gains, bounds, in_few, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, changes, extended, from_the_end, moved
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights

@@ -9,6 +9,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
+from caphy.refit.borrowed import most_by_chance
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
 from caphy.refit.laws import Way
@@ -34,6 +35,7 @@ class HeldOut:
         before, after: median of each window (W,) [mm].
         share: of the misfit that is gone, as in :func:`share_gone`: finer than medians, which noise dominates.
         share_error: its standard error over windows.
+        chance: share that must be exceeded instead of two standard errors, where few windows decide.
     """
 
     before_mm: float
@@ -43,14 +45,17 @@ class HeldOut:
     after: np.ndarray
     share: float
     share_error: float
+    chance: float | None = None
 
     def proves(self, share: float) -> bool:
         """Whether what takes away a share of the misfit elsewhere holds here.
 
-        The median error must fall. It falls by 3 %, or the misfit falls by two standard errors, and by a third of that
-        share or nearly so. What is found where nothing is missing rarely does.
+        The median error must fall. It falls by 3 %, or the misfit falls by two standard errors (where few windows
+        decide, by more than chance gives), and by a third of that share or nearly so. What is found where nothing is
+        missing rarely does.
         """
-        sure = self.share > SURE * self.share_error and self.share + self.share_error >= PROVEN * share
+        least = SURE * self.share_error if self.chance is None else self.chance
+        sure = self.share > least and self.share + self.share_error >= PROVEN * share
         return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)
 
 
@@ -73,7 +78,8 @@ class Apart:
         every = (*self.columns, *(column for column in fitted.columns if column not in self.columns))
         study, old = self._rolled_out(fitted.origin, every)
         new = study.respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
-        before = evidence(picked(old, [every.index(column) for column in fitted.columns]), self.variance)
+        known = picked(old, [every.index(column) for column in fitted.columns])
+        before = evidence(known, self.variance)
         before = replace(before, weight=robust_weights(before))
         last = from_the_end(fitted.columns, fitted.change)
         after = tamed(evidence(new, self.variance, before.weight), before)
@@ -84,7 +90,8 @@ class Apart:
         noise = [measurement_noise(scene.measurement) for scene in self.study.scenes]
         stated = [1e3 * found.median for found in noise if found is not None]
         floor = float(np.median(stated)) if stated else None
-        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error)
+        chance = most_by_chance(before, known, self.variance, fitted.change)
+        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error, chance)
 
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from caphy.diagnose.few import borrowed_gains, deciding, in_few
-from caphy.diagnose.screen import gains, null_gains
+from caphy.diagnose.screen import borrowed_gains, gains, in_few, null_gains
+from caphy.refit.borrowed import deciding, most_by_chance
 from caphy.refit.evidence import Evidence, evidence
+from caphy.refit.heldout import HeldOut
 from caphy.refit.responses import Response
+from caphy.refit.study import share_gone
 
 LAGS, MODES, WINDOWS = 8, 10, 12
 VARIANCE = np.full((LAGS, MODES), 1e-6)
@@ -40,13 +44,11 @@ def gain(known: Evidence) -> float:
 
 
 def test_equal_windows_all_decide_and_one_that_outweighs_the_others_decides_alone():
-    a = np.ones((9, 1, 1))
-    even = Evidence(a, np.zeros((9, 1)), np.ones(9), np.ones(9), np.ones(9))
-    assert deciding(even) == pytest.approx(9)
-    a[0] = 1e4
-    assert deciding(even) == pytest.approx(1, abs=0.01)
-    a[:] = 0
-    assert deciding(even) == 0
+    share = np.ones(9)
+    assert deciding(share) == pytest.approx(9)
+    share[0] = 1e4
+    assert deciding(share) == pytest.approx(1, abs=0.01)
+    assert deciding(np.zeros(9)) == 0
 
 
 def test_where_all_windows_are_few_there_is_no_elsewhere():
@@ -69,5 +71,23 @@ def test_what_is_not_there_is_beyond_them_as_seldom_as_was_asked_for():
     for seed in range(60):
         found = windows(0.0, seed)
         known = evidence(found, VARIANCE)
-        beyond += gain(known) > np.quantile(borrowed_gains(known, found, VARIANCE, [[1]], LIMITS, seed), 0.95)
+        beyond += gain(known) > np.quantile(borrowed_gains(known, found, VARIANCE, [[1]], LIMITS), 0.95)
     assert beyond <= 8  # 3 expected; binomial: more than 8 once in 200 times
+
+
+@pytest.mark.parametrize(("planted", "proven"), [(1.0, True), (0.0, False), (-1.0, False)])
+def test_held_out_windows_prove_what_few_of_them_show(planted, proven):
+    """Two of twelve windows: a standard error over windows is near the sum itself."""
+    found, change = windows(planted, 3), np.array([0.0, 1.0])
+    known = evidence(found, VARIANCE)
+    share, error = share_gone(known, replace(known, b=known.b - known.a @ change), change)
+    chance = most_by_chance(known, found, VARIANCE, change)
+    assert chance is not None
+    held = HeldOut(2.0, 1.99, None, np.ones(12), np.ones(12), share, error)
+    assert not held.proves(0.1)
+    assert replace(held, chance=chance).proves(share) == proven
+
+
+def test_where_many_windows_decide_chance_is_the_standard_error():
+    found = windows(0.0, 3)
+    assert most_by_chance(evidence(found, VARIANCE), found, VARIANCE, np.array([1.0, 0.0])) is None
