@@ -7,6 +7,7 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from caphy.refit.borrowed import deciding, few
 from caphy.refit.evidence import Evidence, ridged
 from caphy.refit.learned import Learned
 from caphy.refit.study import Fit
@@ -17,28 +18,38 @@ LEVEL = 0.95
 
 
 def deviations(known: Evidence, seed: int = 0) -> np.ndarray:
-    """Deviations (R, K) of the estimate in windows drawn again with replacement (Efron 1979)."""
+    """Deviations (R, K) of the estimate where windows count more or less by chance.
+
+    The Bayesian bootstrap (Rubin, Ann. Statist. 9, 1981): like drawing windows with replacement, but none is ever left
+    out, so that a number which two windows decide is not told by those that know nothing of it.
+    """
     random = np.random.default_rng(seed)
     many = len(known.c)
-    normal, right = known.normal
-    best = ridged(normal, right, 1e-9)
+    best = ridged(*known.normal, 1e-9)
     found = []
     for _ in range(REPLICAS):
-        drawn = known.weight * np.bincount(random.integers(many, size=many), minlength=many)
+        drawn = known.weight * random.dirichlet(np.ones(many)) * many
         a, b = np.einsum("w,wkl->kl", drawn, known.a), drawn @ known.b
         found.append(ridged(a, b, 1e-6) - best)
     return np.array(found).reshape(REPLICAS, -1)
+
+
+def _free(known: Evidence) -> np.ndarray:
+    """Degrees of freedom (K,) of each number's spread: windows left over, of those that decide where these are few."""
+    inverse = np.linalg.pinv(known.normal[0], hermitian=True)
+    shares = known.weight[:, None] * np.einsum("kl,wlm,mk->wk", inverse, known.a, inverse)
+    count = [deciding(share) if few(share) else int((known.weight > 0.05).sum()) for share in shares.T]
+    return np.maximum(np.array(count) - known.b.shape[1], 2)
 
 
 def half_widths(known: Evidence, *doubts: np.ndarray | float, seed: int = 0) -> list[np.ndarray]:
     """Half widths (K,) of the :data:`LEVEL` intervals, for each of some ``doubts``.
 
     The spread of the bootstrap, widened by Student's t with as many degrees of freedom as there are windows left over:
-    a dozen windows know their own spread only roughly. Beside it a doubt (K,), a standard error that all windows
-    share and no resampling of them can show.
+    a dozen windows know their own spread only roughly, two hardly at all. Beside it a doubt (K,), a standard error that
+    all windows share and no resampling of them can show.
     """
-    spread = deviations(known, seed).std(axis=0)
-    free = max(int((known.weight > 0.05).sum()) - known.b.shape[1], 2)
+    spread, free = deviations(known, seed).std(axis=0), _free(known)
     windows = student.ppf(0.5 + LEVEL / 2, free) * spread * np.sqrt(1 + 1 / free)
     return [np.hypot(windows, norm.ppf(0.5 + LEVEL / 2) * doubt) for doubt in doubts]
 

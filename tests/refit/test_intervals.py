@@ -39,6 +39,22 @@ def test_intervals_cover_as_often_as_they_say(spread):
     assert 0.91 < np.mean(covered) < 0.99
 
 
+def test_where_few_windows_decide_the_others_do_not_tell_how_far_off_they_are():
+    """Three windows of fifteen; a resample without them would give anything."""
+    random, truth, covered, widths = np.random.default_rng(1), np.array([1.0]), [], []
+    for _ in range(150):
+        known = windows(truth, random, 0.2)
+        faint = (np.arange(15) >= 3) * random.uniform(1e-3, 1e-2, 15)
+        scale = np.where(faint > 0, faint, 1.0)
+        # What is left where the number does nothing has no size of its own there.
+        known = replace(known, a=known.a * scale[:, None, None] ** 2, b=known.b * scale[:, None])
+        best = known.b.sum(0) / known.a.sum(0)[0]
+        widths.append(half_widths(known, 0.0)[0])
+        covered.append(np.abs(best - truth) < widths[-1])
+    assert np.mean(covered) > 0.91
+    assert np.median(widths) < 1.5  # Student's t of two degrees on 0.14, three windows: 0.73 with its widening
+
+
 def learned(numbers: list[float], ridge: float = 1e-12) -> Learned:
     """Base motions of three windows, each of which asks for a number of the first column and none of the second."""
     count = 3 * len(numbers)
