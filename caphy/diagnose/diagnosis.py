@@ -15,7 +15,7 @@ from caphy.diagnose.groups import columns_of
 from caphy.diagnose.laws import settle_laws
 from caphy.diagnose.outside import Outside, outside
 from caphy.diagnose.proof import each_proven
-from caphy.diagnose.search import Search, Term, search, take_back
+from caphy.diagnose.search import Search, Term, ranked, search, take_back
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
@@ -39,7 +39,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Ranked:
-    """One explanation as the screen saw it.
+    """One explanation as the screen saw it, before any refit.
 
     Attributes:
         label, name: for people; the effect's.
@@ -73,7 +73,7 @@ class Diagnosis:
         found: names of accepted effects, strongest first.
         groups: for each accepted effect the explanations that cannot be told from it here, itself first.
         advice: for each of those pairs, what would tell them apart.
-        ranking: all explanations, best first.
+        ranking: all explanations, best first, of those that gain as much the simplest.
         coefficients: of accepted effects, by "effect.parameter".
         model: with everything accepted and fitted.
         needed: gain that an effect had to reach.
@@ -194,7 +194,7 @@ def _concluded(
             for term in kept
             for other in similar[term.group.name]
         },
-        ranking=_ranking(found),
+        ranking=_ranking(found, base is not None),
         coefficients=numbers if kept else {},
         model=_kept(found.model, start, kept) if kept else start,
         needed=first.needed,
@@ -255,12 +255,12 @@ def _noise(study: Study) -> float | None:
     return max(known) if known else None
 
 
-def _ranking(found: Search) -> list[Ranked]:
+def _ranking(found: Search, sure_of_parameters: bool) -> list[Ranked]:
     first = found.screens[0]
     tried = found.terms[0].tried if found.terms else {}
     normal, _ = first.evidence.normal
     ranking = []
-    for score in first.scores:
+    for score in ranked(first.scores, sure_of_parameters):
         place = first.places[score.group.label]
         names = [column.name for column in score.group.columns]
         needed = first.needed_by(score)

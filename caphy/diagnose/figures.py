@@ -127,7 +127,8 @@ def _coefficient(name: str, c: Coefficient) -> str:
     declared = find_effect(effect).parameters[parameter.split("[")[0]]
     if c.unit == "1" and declared.unit != "1":
         return f"{name} changes by {100 * c.value:+.0f} % (95 %: {100 * c.low:+.0f} to {100 * c.high:+.0f} %)."
-    return f"{name} = {c.value:.3g} {c.unit} (95 %: {c.low:.3g} to {c.high:.3g})."
+    unit = "" if c.unit == "1" else f" {c.unit}"
+    return f"{name} = {c.value:.3g}{unit} (95 %: {c.low:.3g} to {c.high:.3g})."
 
 
 def _listed(names) -> str:

@@ -274,6 +274,20 @@ def finalists(last: Screen, sure_of_parameters: bool = False, first: bool = True
     return [score for score in sure if score.gain >= _CLOSE * sure[0].gain][:FINALISTS]
 
 
+def ranked(scores: Sequence[Score], sure_of_parameters: bool) -> list[Score]:
+    """The explanations as they would be chosen if each were alone: by gain, but of those that gain as much the one with
+    the fewest numbers first (a wind contains the drag), and parameters that base measurements told by what they gain
+    beyond the library."""
+    gain = {score.group.label: score.gain / (OWN if score.group.own and sure_of_parameters else 1) for score in scores}
+    left, found = sorted(scores, key=lambda score: -gain[score.group.label]), []
+    while left:
+        enough = _TIE * gain[left[0].group.label]
+        near = [score for score in left if gain[score.group.label] >= enough] or left[:1]
+        found.append(min(near, key=lambda score: (score.size, -gain[score.group.label])))
+        left.remove(found[-1])
+    return found
+
+
 def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | None:
     last = found.screens[-1]
     near = finalists(last, sure_of_parameters, not found.terms)

@@ -11,7 +11,7 @@ from caphy.diagnose import base, diagnosis, proof, search
 from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.screen import Score
-from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search, Term, finalists
+from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search, Term, finalists, ranked
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, extended, moved
 from caphy.refit.evidence import Evidence
@@ -41,6 +41,16 @@ def test_parameters_that_base_measurements_told_must_explain_half_as_much_again(
     assert labels(finalists(screen(close, score(DRAG, 0.2)), True)) == ["mass_damping"]
     assert labels(finalists(screen(far, score(DRAG, 0.2)), True)) == ["parameters of strain_stvk", "mass_damping"]
     assert labels(finalists(screen(close, score(DRAG, 0.2)), False))[0] == "parameters of strain_stvk"
+
+
+def test_of_what_gains_as_much_the_simplest_stands_first():
+    wind = Score(Group("wind_normal", addition("wind_normal")), 0.302, 100.0, np.ones(4))
+    drag, stiffness = score(DRAG, 0.301), score(STIFFNESS, 0.301 * OWN - 0.01)
+    assert labels(ranked([wind, drag], True)) == ["mass_damping", "wind_normal"]
+    assert labels(ranked([wind, score(DRAG, 0.27)], True))[0] == "wind_normal"
+    assert labels(ranked([stiffness, wind, drag], True)) == ["mass_damping", "parameters of strain_stvk", "wind_normal"]
+    assert labels(ranked([stiffness, wind, drag], False))[0] == "parameters of strain_stvk"
+    assert labels(ranked([score(DRAG, -0.01), score(PRESSURE, -0.02)], True)) == ["mass_damping", "pressure"]
 
 
 def test_they_explain_nothing_of_what_an_effect_leaves_over():
