@@ -236,8 +236,9 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
     if errors is None or errors.proves(taken):
         return ""
     doubt = f"error {100 * errors.share_error:.0f} %"
-    if errors.chance is not None:
-        doubt = f"{100 * errors.chance:.1f} % by chance, as few windows decide"
+    if errors.few is not None:
+        few = errors.few
+        doubt = f"few windows decide: {100 * few.promise:.1f} % if right, up to {100 * few.chance:.1f} % by chance"
     return (
         f"it takes away {100 * taken:.0f} % of the misfit where it was fitted, and {100 * errors.share:.1f} % "
         f"({doubt}) on held-out measurements, where the median went from {errors.before_mm:.2f} to "

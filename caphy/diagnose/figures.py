@@ -34,7 +34,7 @@ def figures(diagnosis: Diagnosis) -> dict:
             "noise_mm": held.floor_mm,
             "share_of_misfit_gone": held.share,
             "its_standard_error": held.share_error,
-            "share_by_chance": held.chance,
+            "few_windows_decide": held.few and {"share_by_chance": held.few.chance, "share_if_right": held.few.promise},
             "windows_before_mm": held.before.tolist(),
             "windows_after_mm": held.after.tolist(),
         },

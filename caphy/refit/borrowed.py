@@ -11,6 +11,7 @@ exchanged is the null.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -62,17 +63,31 @@ def borrowed(
     return b
 
 
-def most_by_chance(
+@dataclass(frozen=True)
+class Few:
+    """What a change of numbers, fitted elsewhere, takes away where few windows decide; shares of the misfit.
+
+    Attributes:
+        chance: with borrowed residuals, at most.
+        promise: if the numbers are right: by the curvature, as e = S d falls by d.A d.
+    """
+
+    chance: float
+    promise: float
+
+
+def where_few_decide(
     known: Evidence, responses: Sequence[Response], variance: np.ndarray, change: np.ndarray
-) -> float | None:
-    """The share of the misfit that a change (K,), fitted elsewhere, takes away by chance at most; none where many
-    windows decide. ``responses`` have its columns, and are otherwise as in :func:`borrowed`."""
+) -> Few | None:
+    """For a change (K,); none where many windows decide. ``responses`` have its columns, and are otherwise as in
+    :func:`borrowed`."""
     bent = known.weight * np.einsum("k,wkl,l->w", change, known.a, change)
     if not few(bent):
         return None
     b = borrowed(known, responses, variance, range(len(change)))
     falls = 2 * np.einsum("w,rwk,k->r", known.weight, b, change) - bent.sum()
-    return float(np.quantile(falls / (known.weight * known.c).sum(), CHANCE))
+    total = float((known.weight * known.c).sum())
+    return Few(float(np.quantile(falls, CHANCE)) / total, float(bent.sum()) / total)
 
 
 def _everywhere(response: Response, variance: np.ndarray) -> np.ndarray:

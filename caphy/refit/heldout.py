@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.measure.noise import measurement_noise
-from caphy.refit.borrowed import most_by_chance
+from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
 from caphy.refit.laws import Way
@@ -35,7 +35,7 @@ class HeldOut:
         before, after: median of each window (W,) [mm].
         share: of the misfit that is gone, as in :func:`share_gone`: finer than medians, which noise dominates.
         share_error: its standard error over windows.
-        chance: share that must be exceeded instead of two standard errors, where few windows decide.
+        few: what must be exceeded instead, where few windows decide.
     """
 
     before_mm: float
@@ -45,17 +45,19 @@ class HeldOut:
     after: np.ndarray
     share: float
     share_error: float
-    chance: float | None = None
+    few: Few | None = None
 
     def proves(self, share: float) -> bool:
         """Whether what takes away a share of the misfit elsewhere holds here.
 
-        The median error must fall. It falls by 3 %, or the misfit falls by two standard errors (where few windows
-        decide, by more than chance gives), and by a third of that share or nearly so. What is found where nothing is
-        missing rarely does.
+        The median error must fall. It falls by 3 %, or the misfit falls by two standard errors, and by a third of that
+        share or nearly so. Where few windows decide it must fall by more than chance gives, and by a third of what it
+        would fall by in these very windows. What is found where nothing is missing rarely does.
         """
-        least = SURE * self.share_error if self.chance is None else self.chance
-        sure = self.share > least and self.share + self.share_error >= PROVEN * share
+        if self.few is None:
+            sure = self.share > SURE * self.share_error and self.share + self.share_error >= PROVEN * share
+        else:
+            sure = self.share > self.few.chance and self.share >= PROVEN * self.few.promise
         return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)
 
 
@@ -90,8 +92,8 @@ class Apart:
         noise = [measurement_noise(scene.measurement) for scene in self.study.scenes]
         stated = [1e3 * found.median for found in noise if found is not None]
         floor = float(np.median(stated)) if stated else None
-        chance = most_by_chance(before, known, self.variance, fitted.change)
-        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error, chance)
+        rare = where_few_decide(before, known, self.variance, fitted.change)
+        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error, rare)
 
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""

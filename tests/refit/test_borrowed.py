@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from caphy.diagnose.screen import borrowed_gains, gains, in_few, null_gains
-from caphy.refit.borrowed import deciding, most_by_chance
+from caphy.refit.borrowed import deciding, where_few_decide
 from caphy.refit.evidence import Evidence, evidence
 from caphy.refit.heldout import HeldOut
 from caphy.refit.responses import Response
@@ -81,13 +81,15 @@ def test_held_out_windows_prove_what_few_of_them_show(planted, proven):
     found, change = windows(planted, 3), np.array([0.0, 1.0])
     known = evidence(found, VARIANCE)
     share, error = share_gone(known, replace(known, b=known.b - known.a @ change), change)
-    chance = most_by_chance(known, found, VARIANCE, change)
-    assert chance is not None
+    few = where_few_decide(known, found, VARIANCE, change)
+    assert few is not None
     held = HeldOut(2.0, 1.99, None, np.ones(12), np.ones(12), share, error)
     assert not held.proves(0.1)
-    assert replace(held, chance=chance).proves(share) == proven
+    assert replace(held, few=few).proves(share) == proven
+    if planted:
+        assert abs(share) == pytest.approx(few.promise if proven else 3 * few.promise, rel=0.5)
 
 
 def test_where_many_windows_decide_chance_is_the_standard_error():
     found = windows(0.0, 3)
-    assert most_by_chance(evidence(found, VARIANCE), found, VARIANCE, np.array([1.0, 0.0])) is None
+    assert where_few_decide(evidence(found, VARIANCE), found, VARIANCE, np.array([1.0, 0.0])) is None
