@@ -40,8 +40,10 @@ ON_THE_WAY = 0.5
 """Time from the T-pose into a scan's pose [s]."""
 EDGE_LENGTHS = (0.036, 0.033, 0.030)
 """Of the mesh that is hung [m]: eases are no matter of small folds. The first that the style can be cut in."""
-SPREAD = {"ease": 0.02, "sleeve_ease": 0.02, "leg_ease": 0.02, "flare": 0.1, "taper": 0.06}
-"""How far eases may be off [m, or metres per metre]: standard deviation of what is known of each before."""
+SPREAD = {"ease": 0.015, "sleeve_ease": 0.010, "leg_ease": 0.015, "flare": 0.08, "taper": 0.05}
+"""How far eases are from a family's usual ones [m, or metres per metre]: standard deviation over what people wear."""
+HELD = 0.006
+"""The same of the gap at the waist [m] of what a waistband holds."""
 MOST = {"ease": 0.1, "sleeve_ease": 0.06, "leg_ease": 0.1, "flare": 0.5, "taper": 0.3}
 """Greatest value of each."""
 ENOUGH = 0.3
@@ -79,7 +81,9 @@ def hung_eases(
     """
     body, names = dressed_body(figure), [name for name in SPREAD if hasattr(style, name)]
     most = np.array([MOST[name] for name in names])
-    spread, start = np.array([SPREAD[name] for name in names]), np.array([getattr(style, name) for name in names])
+    spread = np.array([HELD if name == "ease" and hasattr(style, "rise") else SPREAD[name] for name in names])
+    usual = np.array([getattr(type(style), name) for name in names])
+    style = replace(style, **dict(zip(names, usual.tolist(), strict=True)))
     for number in range(ROUNDS):
         (garment, cloth), seen = _coarse(style, body, model), []
         for place, (placement, sheet) in enumerate(zip(placements, sheets, strict=True)):
@@ -95,7 +99,7 @@ def hung_eases(
         parts = garment.weights[garment.faces].sum(axis=1).argmax(axis=1)  # the joint that a face follows most
         now = np.array([getattr(style, name) for name in names])
         gains = area_gains(garment.vertices, garment.faces, slopes)
-        step = eases_step(seen, gains, parts, now - start, spread, (-now, most - now))
+        step = eases_step(seen, gains, parts, now - usual, spread, (-now, most - now))
         style = replace(style, **{name: float(value) for name, value in zip(names, now + step, strict=True)})
     return style
 

@@ -31,6 +31,8 @@ ROUGH, PATCH = 0.05, 0.01
 """Standard deviation of the share by which the area of a patch of so many square metres is wrong, and"""
 RIM = 0.003
 """of the area of a part for where it ends [m^2]: a metre of rim, three millimetres off."""
+ALIKE = 0.03
+"""Share by which the area of a part is wrong in all scans alike: what scans show of true cloth is 0.93 to 1.02 of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +112,17 @@ def eases_step(
         limits: how far each may shrink and grow now (K,): where one ends at its limit the others do without it.
     """
     matrix, right = np.diag(1 / spread**2), -grown / spread**2
-    for each in seen:
-        covered = each.own > 0
-        for part in np.unique(parts[covered]):
-            ring = parts == part
-            own, slope = each.own[ring].sum(), gains[ring & covered].sum(axis=0)
-            weight = 1 / (ROUGH**2 * PATCH * own + RIM**2)
-            matrix += weight * np.outer(slope, slope)
-            right += weight * (each.scanned[ring].sum() - own) * slope
+    for part in np.unique(parts):
+        ring = parts == part
+        covered = [ring & (each.own > 0) for each in seen]
+        own = np.array([each.own[ring].sum() for each in seen])
+        lack = np.array([each.scanned[ring].sum() for each in seen]) - own
+        slopes = np.array([gains[here].sum(axis=0) for here in covered])
+        wrong = np.diag(ROUGH**2 * PATCH * own + RIM**2) + ALIKE**2 * np.outer(own, own)
+        there = own > 0
+        weighed = np.linalg.solve(wrong[np.ix_(there, there)], slopes[there])
+        matrix += slopes[there].T @ weighed
+        right += weighed.T @ lack[there]
     root = np.linalg.cholesky(matrix)
     return lsq_linear(root.T, np.linalg.solve(root, right), limits, method="bvls").x
 
