@@ -32,7 +32,7 @@ ROUGH, PATCH = 0.05, 0.01
 RIM = 0.003
 """of the area of a part for where it ends [m^2]: a metre of rim, three millimetres off."""
 ALIKE = 0.03
-"""Share by which the area of a part is wrong in all scans alike: what scans show of true cloth is 0.93 to 1.02 of it."""
+"""Share by which the area of a part is wrong in all scans alike: scans show 0.93 to 1.02 of true cloth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +114,14 @@ def eases_step(
     matrix, right = np.diag(1 / spread**2), -grown / spread**2
     for part in np.unique(parts):
         ring = parts == part
-        covered = [ring & (each.own > 0) for each in seen]
+        # Summed over the scans: with an error that they share, differences between them would decide alone.
         own = np.array([each.own[ring].sum() for each in seen])
-        lack = np.array([each.scanned[ring].sum() for each in seen]) - own
-        slopes = np.array([gains[here].sum(axis=0) for here in covered])
-        wrong = np.diag(ROUGH**2 * PATCH * own + RIM**2) + ALIKE**2 * np.outer(own, own)
-        there = own > 0
-        weighed = np.linalg.solve(wrong[np.ix_(there, there)], slopes[there])
-        matrix += slopes[there].T @ weighed
-        right += weighed.T @ lack[there]
+        lack = sum(each.scanned[ring].sum() for each in seen) - own.sum()
+        slope = sum(gains[ring & (each.own > 0)].sum(axis=0) for each in seen)
+        wrong = (ROUGH**2 * PATCH * own + RIM**2)[own > 0].sum() + (ALIKE * own.sum()) ** 2
+        if wrong > 0:
+            matrix += np.outer(slope, slope) / wrong
+            right += slope * lack / wrong
     root = np.linalg.cholesky(matrix)
     return lsq_linear(root.T, np.linalg.solve(root, right), limits, method="bvls").x
 
