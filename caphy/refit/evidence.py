@@ -120,7 +120,9 @@ def tamed(known: Evidence, first: Evidence) -> Evidence:
     """
     before = first.weight[:, None] * np.einsum("wkk->wk", first.a)
     after = known.weight[:, None] * np.einsum("wkk->wk", known.a)
-    usual = [_middle(now / np.maximum(then, 1e-300), then) for then, now in zip(before.T, after.T, strict=True)]
+    # A window that a number did not move before has no weight in what is usual.
+    ratio = np.divide(after, before, out=np.ones_like(after), where=before > 0)
+    usual = [_middle(grown, then) for grown, then in zip(ratio.T, before.T, strict=True)]
     most = np.where(before.any(axis=0), _WILD * np.array(usual) * np.maximum(before, before.mean(axis=0)), np.inf)
     trust = np.minimum(1, most / np.maximum(after, 1e-300)).min(axis=1, initial=1.0)
     return replace(known, a=known.a * trust[:, None, None], b=known.b * trust[:, None])
