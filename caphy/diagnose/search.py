@@ -275,15 +275,13 @@ def finalists(last: Screen, sure_of_parameters: bool = False, first: bool = True
 
 
 def ranked(scores: Sequence[Score], sure_of_parameters: bool) -> list[Score]:
-    """The explanations as they would be chosen if each were alone: by gain, but of those that gain as much the one with
-    the fewest numbers first (a wind contains the drag), and parameters that base measurements told by what they gain
-    beyond the library."""
+    """The explanations in the order in which they would be chosen, each after those before it: by gain, but of those
+    that gain as much the simplest first, and parameters that base measurements told by what they gain beyond the
+    library."""
     gain = {score.group.label: score.gain / (OWN if score.group.own and sure_of_parameters else 1) for score in scores}
-    left, found = sorted(scores, key=lambda score: -gain[score.group.label]), []
+    left, found = list(scores), []
     while left:
-        enough = _TIE * gain[left[0].group.label]
-        near = [score for score in left if gain[score.group.label] >= enough] or left[:1]
-        found.append(min(near, key=lambda score: (score.size, -gain[score.group.label])))
+        found.append(_simplest(left, gain, sure_of_parameters))
         left.remove(found[-1])
     return found
 
@@ -344,8 +342,8 @@ def _simplest(near: Sequence[Score], shares: dict[str, float], sure_of_parameter
 
     Parameters that nobody has fitted come first: they are off more often than effects are missing.
     """
-    enough = _TIE * max(shares.values())
-    equal = [score for score in near if shares[score.group.label] >= enough]
+    best = max(shares[score.group.label] for score in near)
+    equal = [score for score in near if shares[score.group.label] >= min(_TIE * best, best)]
     first = [score for score in equal if score.group.own and not sure_of_parameters] or equal
     return min(first, key=lambda score: (score.size, -shares[score.group.label]))
 

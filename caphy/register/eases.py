@@ -68,7 +68,9 @@ def hung_eases(
     model: Model,
     progress: Progress,
 ) -> Family:
-    """The style with the eases with which it hangs as the scans show.
+    """The style with the eases with which it hangs as the scans show, whatever eases it comes with.
+
+    It begins with its family's usual ones: a sleeve that is too tight shows too little to be widened again.
 
     Args:
         placements: where the body stands in each of some scans.

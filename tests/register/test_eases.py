@@ -51,19 +51,21 @@ def areas(style: Tshirt) -> tuple[float, float]:
     return area[~sleeves].sum(), area[sleeves].sum()
 
 
-def test_a_shirt_that_is_too_tight_is_widened():
-    """Of a fabric that the fit does not know, on another mesh; 1.5 cm too tight at the chest and 1.2 at the arm."""
-    true, model = Tshirt(ease=0.027, sleeve_ease=0.016, edge_length=0.03), fabric_model(FABRIC)
-    tight, placements = replace(true, ease=0.012, sleeve_ease=0.004), [standing(20), standing(40)]
+def test_a_shirt_that_is_wider_than_usual_is_widened():
+    """Of a fabric that the fit does not know, on another mesh; 1.5 cm wider at the chest and 1.2 at the arm than the
+    usual ones that it begins with, whatever it is given."""
+    true, model = Tshirt(ease=0.040, sleeve_ease=0.028, edge_length=0.03), fabric_model(FABRIC)
+    usual, placements = Tshirt(edge_length=0.03), [standing(20), standing(40)]
     sheets = [seen(placement, true, ANOTHER) for placement in placements]
-    found = hung_eases(tight, FIGURE, placements, sheets, "upper", model, lambda *_: None)
+    given = replace(true, ease=0.002, sleeve_ease=0.0, flare=0.2)
+    found = hung_eases(given, FIGURE, placements, sheets, "upper", model, lambda *_: None)
     assert isinstance(found, Tshirt)
-    short, wide = (np.array(areas(style)) / areas(true) - 1 for style in (tight, found))
-    assert (short < -0.06).all()
+    short, wide = (np.array(areas(style)) / areas(true) - 1 for style in (usual, found))
+    assert (short < -0.05).all()
     assert np.abs(wide[0]) < 0.03 and np.abs(wide[1]) < 0.04
     # ease and flare make up for each other in all of the trunk but the chest, so each is known less than the girth
-    assert tight.ease + 0.005 < found.ease < true.ease + 0.01
-    assert found.sleeve_ease == pytest.approx(true.sleeve_ease, abs=0.005)
+    assert usual.ease + 0.005 < found.ease < true.ease + 0.01
+    assert usual.sleeve_ease + 0.004 < found.sleeve_ease < true.sleeve_ease + 0.005
     assert (found.length, found.sleeve, found.edge_length) == (true.length, true.sleeve, true.edge_length)
 
 
