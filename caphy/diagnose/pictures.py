@@ -92,7 +92,9 @@ def force_pictures(diagnosis: Diagnosis) -> list[Picture]:
     if diagnosis.depends_on is not None:
         found = diagnosis.outside
         pictures.append(moment.picture(moment.flexible(found), f"by {found.best}"))
-    for score in diagnosis.search.screens[0].scores[: SHOWN - len(pictures)]:
+    scores = {score.group.label: score for score in diagnosis.search.screens[0].scores}
+    for best in diagnosis.ranking[: SHOWN - len(pictures)]:
+        score = scores[best.label]
         pressure = moment.pressure(score)
         if pressure.any():
             pictures.append(moment.picture(pressure, score.group.label.replace("_", " ")))
