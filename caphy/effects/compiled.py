@@ -21,7 +21,7 @@ from caphy.effects.bending_measured import BendingMeasured, stiffness_nodes
 from caphy.effects.body_contact import BodyContact
 from caphy.effects.gravity import Gravity
 from caphy.effects.inertia import Inertia
-from caphy.effects.strain_measured import StrainMeasured, direction_polynomial
+from caphy.effects.strain_measured import StrainMeasured, directed
 from caphy.effects.strain_stvk import StrainStVK
 
 
@@ -47,7 +47,7 @@ def _strain_stvk(b: Bound) -> Arguments:
 
 def _strain_measured(b: Bound) -> Arguments:
     table = b.values["stretching"].to(torch.float64)
-    return kernels.strain_measured, (), (b.index, b.rest["hat"], b.rest["area"], table[0], direction_polynomial(table))
+    return kernels.strain_measured, (), (b.index, b.rest["hat"], b.rest["area"], table[0], directed(table))
 
 
 def _bending(b: Bound) -> Arguments:

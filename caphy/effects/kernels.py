@@ -97,6 +97,18 @@ def weights(strain):
 
 
 @_compiled
+def flattened(stiffness, flat):
+    """A stiffness led through zero without slope, its slope and its curvature."""
+    t = abs(stiffness) / flat
+    if t >= 1.0:
+        return stiffness, 1.0, 0.0
+    sign = 1.0 if stiffness > 0.0 else -1.0
+    value = sign * flat * t * t * t * (6.0 - 8.0 * t + 3.0 * t * t)
+    slope = t * t * (18.0 - 32.0 * t + 15.0 * t * t)
+    return value, slope, sign * t * (36.0 - 96.0 * t + 60.0 * t * t) / flat
+
+
+@_compiled
 def _mean_clamped(start, sampled, strain, weight, mean):
     """Radial mean of a clamped stiffness, its slope in ``sampled`` and its slope in ``strain``."""
     rise = sampled - start
@@ -118,7 +130,7 @@ def _mean_clamped(start, sampled, strain, weight, mean):
 
 @_compiled
 def _measured_stress(uu, vv, uv, start, directed):
-    """Energy density and stress uu, vv, uv of a measured fabric; ``directed`` (5, 4) as in strain_measured."""
+    """Energy density and stress uu, vv, uv of a measured fabric; ``directed`` (6, 4) as in strain_measured."""
     half = 0.5 * (uu - vv)
     radius = sqrt(half * half + uv * uv + SMOOTHING**2)
     cosine = half / radius
@@ -132,6 +144,8 @@ def _measured_stress(uu, vv, uv, start, directed):
         c1, c2, c3, c4 = directed[1, column], directed[2, column], directed[3, column], directed[4, column]
         sampled = directed[0, column] + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4)))
         turning = c1 + cosine * (2.0 * c2 + cosine * (3.0 * c3 + cosine * 4.0 * c4))
+        sampled, flat, _ = flattened(sampled, directed[5, column])
+        turning *= flat
         k, by_sampled, by_strain = _mean_clamped(start[column], sampled, strain, weight, mean)
         if column == 0:
             k0, part = k, uu * uu

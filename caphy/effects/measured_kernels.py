@@ -10,7 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from caphy.effects.kernels import _compiled, weights
+from caphy.effects.kernels import _compiled, flattened, weights
 from caphy.effects.strain_measured import SMOOTHING
 from caphy.material.fabrics import LOADED_TWICE, STRETCH_SAMPLED
 
@@ -72,7 +72,7 @@ def _quadratic(column, uu, vv, uv, part, parts):
 def measured_response(uu, vv, uv, start, directed, found):
     """Stress and tangent in d / d(uu, vv, 2 uv) of Green strains (n,): uu, vv, uv and 00, 11, 22, 01, 02, 12.
 
-    ``start`` (4,) and ``directed`` (5, 4) are as in strain_measured [N/m]; ``found`` (9, n) [N/m] is filled.
+    ``start`` (4,) and ``directed`` (6, 4) are as in strain_measured [N/m]; ``found`` (9, n) [N/m] is filled.
     """
     first, second = np.zeros(3), np.zeros((3, 3))
     c, cc, g, gg = np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
@@ -109,6 +109,8 @@ def measured_response(uu, vv, uv, start, directed, found):
             sampled = directed[0, column] + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4)))
             turning = c1 + cosine * (2.0 * c2 + cosine * (3.0 * c3 + cosine * 4.0 * c4))
             twisting = 2.0 * c2 + cosine * (6.0 * c3 + cosine * 12.0 * c4)
+            sampled, flat, bent = flattened(sampled, directed[5, column])
+            turning, twisting = flat * turning, flat * twisting + bent * turning * turning
             k, by_s, by_g, by_ss, by_sg, by_gg = _mean_clamped(
                 start[column], sampled, strain, weight, mean, slope, curve
             )

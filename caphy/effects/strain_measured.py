@@ -13,6 +13,9 @@ from caphy.material.fabrics import LOADED_TWICE, STRETCH_SAMPLED, fabric
 SMOOTHING = 0.003
 """Green strain over which the kinks of the published interpolation are rounded: below what was measured."""
 
+FLATTENED = 0.1
+"""Of its five directions' root mean square: where a stiffness at 16.7 % stretch is led smoothly through zero."""
+
 LARGEST = ((1 + STRETCH_SAMPLED) ** 2 - 1) / 2
 """Principal Green strain of the rows at 16.7 % stretch."""
 
@@ -34,8 +37,9 @@ class StrainMeasured(Membrane):
     a true function of G whose stress agrees with the measured one along the loading (S : G, all that a tensile test
     measures). The direction enters through the polynomial in cos(2 angle) that meets the five measured directions,
     which is even and periodic as orthotropy demands; near equal biaxial stretch, where no direction exists, it turns
-    to the value at 45 degrees. The corners of the published interpolation are rounded over 0.3 % strain, so that
-    stress and tangent are continuous. The default is a knit, gray interlock.
+    to the value at 45 degrees. The corners of the published interpolation are rounded over 0.3 % strain, and where beyond
+    the rows at 16.7 % a stiffness falls below zero with the direction, and is none from there, over a tenth of what
+    it usually is, so that stress is continuous. The default is a knit, gray interlock.
     """
 
     name = "strain_measured"
@@ -64,7 +68,7 @@ class StrainMeasured(Membrane):
         table = p["stretching"].detach()
         uu, vv, uv = (part.detach().reshape(-1).numpy() for part in strain)
         found = np.empty((9, len(uu)))
-        measured_response(uu, vv, uv, table[0].numpy(), direction_polynomial(table).numpy(), found)
+        measured_response(uu, vv, uv, table[0].numpy(), directed(table).numpy(), found)
         suu, svv, suv, t00, t11, t22, t01, t02, t12 = torch.from_numpy(found).reshape(9, *strain[0].shape)
         return (suu, svv, suv), (t00, t11, t22, t01, t02, t12)
 
@@ -85,14 +89,17 @@ def _stiffness(strain: Symmetric, table: Tensor) -> Tensor:
     cosine = half / radius
     column = (4, *(1,) * uu.dim())
     start = table[0].reshape(column)
-    c0, c1, c2, c3, c4 = (row.reshape(column) for row in direction_polynomial(table))
-    sampled = c0 + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4)))
+    c0, c1, c2, c3, c4, flat = (row.reshape(column) for row in directed(table))
+    sampled = _flattened(c0 + cosine * (c1 + cosine * (c2 + cosine * (c3 + cosine * c4))), flat)
     return LOADED_TWICE * _mean_clamped(start, sampled, largest)
 
 
-def direction_polynomial(table: Tensor) -> Tensor:
-    """Coefficients (5, 4) [N/m] of the polynomials in cos(2 angle) through the rows at 16.7 % stretch."""
-    return _POLYNOMIAL.to(table) @ table[1:]
+def directed(table: Tensor) -> Tensor:
+    """Coefficients (5, 4) [N/m] of the polynomials in cos(2 angle) through the rows at 16.7 % stretch, and in a sixth row
+    below what each stiffness is led through zero [N/m]."""
+    rows = table[1:]
+    usual = rows.square().mean(dim=0, keepdim=True).clamp_min(1e-30).sqrt()
+    return torch.cat([_POLYNOMIAL.to(table) @ rows, FLATTENED * usual])
 
 
 def _mean_clamped(start: Tensor, sampled: Tensor, strain: Tensor) -> Tensor:
@@ -107,6 +114,13 @@ def _mean_clamped(start: Tensor, sampled: Tensor, strain: Tensor) -> Tensor:
     falling = torch.where(changes, before, whole)
     rising = torch.where(changes, whole - before, torch.zeros_like(whole))
     return torch.where(start >= 0, falling, torch.where(sampled > 0, rising, torch.zeros_like(whole)))
+
+
+def _flattened(stiffness: Tensor, flat: Tensor) -> Tensor:
+    """A stiffness that goes through zero without slope, as its positive part then does; twice differentiable."""
+    t = (stiffness / flat).clamp(-1, 1)
+    within = flat * t**3 * (6 - 8 * t.abs() + 3 * t**2)
+    return torch.where(stiffness.abs() < flat, within, stiffness)
 
 
 def _positive(strain: Tensor) -> Tensor:

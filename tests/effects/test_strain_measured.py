@@ -51,6 +51,20 @@ def test_energy_is_never_negative(name: str) -> None:
     assert float(energy_density((uu[possible], vv[possible], uv[possible]), table).min()) >= 0
 
 
+@pytest.mark.parametrize("name", fabric_names())
+def test_stress_does_not_jump(name: str) -> None:
+    """All ways around at strains within and beyond the table: over a tenth of the way stress changes by a tenth."""
+    table = torch.as_tensor(fabric(name).stretching)
+    for mean, radius in ((0.05, 0.3), (0.1, 0.05), (0.3, 0.1), (-0.02, 0.15)):
+        changes = []
+        for count in (4001, 40001):
+            angle = torch.linspace(0, torch.pi, count, dtype=torch.float64)
+            strain = (mean + radius * angle.cos(), mean - radius * angle.cos(), radius * angle.sin())
+            (suu, svv, suv), _ = StrainMeasured()._responded(strain, None, {"stretching": table})
+            changes.append(float(torch.stack([suu, svv, suv]).diff(dim=1).abs().max()))
+        assert changes[1] < 0.15 * changes[0]
+
+
 def test_shear_of_either_sense_costs_the_same() -> None:
     table = fabric("ivory-rib-knit").stretching
     assert density(np.array([0.05, 0.02, 0.04]), table) == density(np.array([0.05, 0.02, -0.04]), table)
