@@ -37,9 +37,9 @@ class StrainMeasured(Membrane):
     a true function of G whose stress agrees with the measured one along the loading (S : G, all that a tensile test
     measures). The direction enters through the polynomial in cos(2 angle) that meets the five measured directions,
     which is even and periodic as orthotropy demands; near equal biaxial stretch, where no direction exists, it turns
-    to the value at 45 degrees. The corners of the published interpolation are rounded over 0.3 % strain, and where beyond
-    the rows at 16.7 % a stiffness falls below zero with the direction, and is none from there, over a tenth of what
-    it usually is, so that stress is continuous. The default is a knit, gray interlock.
+    to the value at 45 degrees. The corners of the published interpolation are rounded over 0.3 % strain, and where
+    beyond the rows at 16.7 % a stiffness falls below zero with the direction, and is none from there, over a tenth of
+    what it usually is, so that stress is continuous. The default is a knit, gray interlock.
     """
 
     name = "strain_measured"
@@ -95,8 +95,8 @@ def _stiffness(strain: Symmetric, table: Tensor) -> Tensor:
 
 
 def directed(table: Tensor) -> Tensor:
-    """Coefficients (5, 4) [N/m] of the polynomials in cos(2 angle) through the rows at 16.7 % stretch, and in a sixth row
-    below what each stiffness is led through zero [N/m]."""
+    """Coefficients (5, 4) [N/m] of the polynomials in cos(2 angle) through the rows at 16.7 % stretch, and in a sixth
+    row below what each stiffness is led through zero [N/m]."""
     rows = table[1:]
     usual = rows.square().mean(dim=0, keepdim=True).clamp_min(1e-30).sqrt()
     return torch.cat([_POLYNOMIAL.to(table) @ rows, FLATTENED * usual])
