@@ -31,26 +31,23 @@ def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None
         name, variance, weight = term.group.name, found.screens[0].variance, found.screens[0].evidence.weight
         if (law := law_of(name)) is not None:
             fitted = in_another_law(study, found.fit, law, variance, weight)
-            found.terms[place] = settled(study, found, term, Group(law, addition(law)), fitted, apart)
+            found.terms[place] = _settled(study, found, term, Group(law, addition(law)), fitted, apart)
         elif more := further(name):
             fitted = told_further(study, found.fit, name, variance, weight)
-            found.terms[place] = settled(study, found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
+            found.terms[place] = _settled(study, found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
 
 
-def settled(study: Study, found: Search, term: Term, law: Group, after: Fit, apart: Apart | None) -> Term:
-    """An accepted term, or in its place another group, fitted, that meets more windows better."""
+def _settled(study: Study, found: Search, term: Term, law: Group, after: Fit, apart: Apart | None) -> Term:
     assert found.fit is not None
     first, before = found.screens[0], found.fit
     between = way(before, after)
     each = between.falls(study, first.variance, first.evidence.weight)
     if apart is not None:
         each = np.append(each, apart.falls(between, first.model))
-    sure = signed_ranks(each)
-    better, worse = (law, term.group) if sure > LEAST else (term.group, law)
-    even = tuple(group for group in term.even if group.name not in (better.name, worse.name))
-    if abs(sure) < SURE and worse.name != better.name:
-        even = (*even, worse)
-    if better is term.group:
+    sure, even = signed_ranks(each), term.even
+    if abs(sure) < SURE and law.name != term.group.name:
+        even = (*even, term.group if sure > LEAST else law)
+    if sure <= LEAST:
         return replace(term, even=even)
     found.fit = after
     return replace(term, group=law, fit=after, even=even)
