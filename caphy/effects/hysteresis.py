@@ -6,7 +6,16 @@ import torch
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.membrane import Membrane, Symmetric, square, strain_of
+from caphy.effects.membrane import (
+    Deformation,
+    Membrane,
+    Symmetric,
+    Tangent,
+    membrane_gradient,
+    positive_part,
+    square,
+    strained,
+)
 
 
 class Hysteresis(Membrane):
@@ -27,7 +36,37 @@ class Hysteresis(Membrane):
     needs_step = True
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
-        assert e.origin is not None and e.dt is not None
-        uu, vv, uv = ((now - then) / e.dt for now, then in zip(strain, strain_of(e, e.origin), strict=True))
-        rate = torch.sqrt(square((uu, vv, uv)) + p["slip"] ** 2)
-        return e.dt * p["friction"] * (rate - p["slip"])
+        assert e.dt is not None
+        return e.dt * p["friction"] * (_size(strained(strain, e), p) - p["slip"])
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        deformation = Deformation.of(e)
+        energy = e.rest["area"] * self.density(deformation.strain, e, p)
+        return energy, membrane_gradient(e, deformation, _stress(strained(deformation.strain, e), p))
+
+    def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
+        """Semi-definite as it stands: friction against a rate is the less, the faster it is already."""
+        assert e.dt is not None
+        rate = uu, vv, uv = strained(strain, e)
+        size, stress = _size(rate, p), _stress(rate, p)
+        stiff, turned = p["friction"] / (e.dt * size), 1 / (size * size)
+        tangent = (
+            stiff * (1 - uu * uu * turned),
+            stiff * (1 - vv * vv * turned),
+            stiff * (0.5 - uv * uv * turned),
+            -stiff * uu * vv * turned,
+            -stiff * uu * uv * turned,
+            -stiff * vv * uv * turned,
+        )
+        return positive_part(stress) if convex else stress, tangent
+
+
+def _size(rate: Symmetric, p: Values) -> Tensor:
+    """Of a rate of strain (..., n) [1/s], smoothed."""
+    return torch.sqrt(square(rate) + p["slip"] ** 2)
+
+
+def _stress(rate: Symmetric, p: Values) -> Symmetric:
+    uu, vv, uv = rate
+    friction = p["friction"] / _size(rate, p)
+    return friction * uu, friction * vv, friction * uv

@@ -177,6 +177,14 @@ def strain_of(e: Elements, x: Tensor) -> Symmetric:
     return Deformation.of(Elements(x, e.rest)).strain
 
 
+def strained(strain: Symmetric, e: Elements) -> Symmetric:
+    """Change of the Green strain over the step per second (..., n) [1/s], from where it set out to ``strain``."""
+    assert e.origin is not None and e.dt is not None
+    then = e.once("strain at the origin", e.origin, lambda origin: torch.stack(strain_of(e, origin)))
+    uu, vv, uv = ((now - before) / e.dt for now, before in zip(strain, then, strict=True))
+    return uu, vv, uv
+
+
 def square(strain: Symmetric) -> Tensor:
     """tr(G^2) (..., n)."""
     uu, vv, uv = strain

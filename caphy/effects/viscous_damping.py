@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.membrane import Membrane, Symmetric, square, strain_of
+from caphy.effects.membrane import (
+    Deformation,
+    Membrane,
+    Symmetric,
+    Tangent,
+    membrane_gradient,
+    positive_part,
+    square,
+    strained,
+)
 
 
 class ViscousDamping(Membrane):
@@ -22,6 +32,21 @@ class ViscousDamping(Membrane):
     needs_step = True
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
-        assert e.origin is not None and e.dt is not None
-        uu, vv, uv = (now - then for now, then in zip(strain, strain_of(e, e.origin), strict=True))
-        return p["viscosity"] / (2 * e.dt) * square((uu, vv, uv))
+        assert e.dt is not None
+        return 0.5 * e.dt * p["viscosity"] * square(strained(strain, e))
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        deformation = Deformation.of(e)
+        energy = e.rest["area"] * self.density(deformation.strain, e, p)
+        return energy, membrane_gradient(e, deformation, _stress(deformation.strain, e, p))
+
+    def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
+        assert e.dt is not None
+        stress, zero = _stress(strain, e, p), torch.zeros_like(strain[0])
+        direct = zero + p["viscosity"] / e.dt
+        return positive_part(stress) if convex else stress, (direct, direct, 0.5 * direct, zero, zero, zero)
+
+
+def _stress(strain: Symmetric, e: Elements, p: Values) -> Symmetric:
+    uu, vv, uv = strained(strain, e)
+    return p["viscosity"] * uu, p["viscosity"] * vv, p["viscosity"] * uv
