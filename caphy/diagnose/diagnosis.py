@@ -15,6 +15,7 @@ from caphy.diagnose.groups import columns_of
 from caphy.diagnose.laws import settle_laws
 from caphy.diagnose.outside import Outside, outside
 from caphy.diagnose.proof import each_proven
+from caphy.diagnose.rivals import settle_rivals
 from caphy.diagnose.search import Search, Term, ranked, search, take_back
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -156,6 +157,7 @@ def diagnose(
         others.mesh = study.mesh
         apart = Apart(others, found.screens[0].variance, known_of, known)
         found = each_proven(study, found, apart.errors)
+        settle_rivals(study, found, apart)
     settle_laws(study, found, apart)
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     elsewhere = outside(found, 0.0 if known is None else known.probes)

@@ -386,16 +386,22 @@ def _eliminate(study: Study, found: Search) -> None:
 
 def take_back(study: Study, found: Search, term: Term) -> None:
     """Remove one of several accepted effects, and fit the others without it."""
+    others = [other for other in found.terms if other is not term]
+    found.fit = refitted(study, found, [other.group for other in others], f"without {term.group.label}")
+    found.removed.append(term.group.label)
+    found.terms = others
+
+
+def refitted(study: Study, found: Search, groups: Sequence[Group], what: str) -> Fit:
+    """Groups fitted from the numbers that they have by now, without those of others."""
     assert found.fit is not None
-    first, label = found.screens[0], term.group.label
-    others = [t for t in found.terms if t is not term]
-    columns = tuple(c for group in (t.group for t in others) for c in group.columns)
-    start = moved(first.model, columns, changes(extended(first.model, columns), found.fit.model, columns))
-    responses = study.respond(start, columns, f"without {label}", anew={"solver"})
-    without = fit(study, start, columns, responses, first.variance, first.evidence.weight, f"without {label}")
-    found.removed.append(label)
-    known = replace(without, origin=first.model, first=_told(first, columns), by_mesh=found.fit.by_mesh)
-    found.terms, found.fit = others, known
+    first = found.screens[0]
+    columns = tuple(column for group in groups for column in group.columns)
+    start, known = extended(first.model, columns), extended(found.fit.model, columns)
+    start = moved(start, columns, changes(start, known, columns))
+    responses = study.respond(start, columns, what, anew={"solver"})
+    fitted = fit(study, start, columns, responses, first.variance, first.evidence.weight, what)
+    return replace(fitted, origin=first.model, first=_told(first, columns), by_mesh=found.fit.by_mesh)
 
 
 def _lost(fitted: Fit, term: Term) -> float:

@@ -11,20 +11,25 @@ import trimesh
 from explicit_cloth import measured, simulate
 
 from caphy.cli import main
-from caphy.diagnose.base import from_base
-from caphy.diagnose.diagnosis import diagnose
+from caphy.diagnose.base import checked_scene, from_base
+from caphy.diagnose.diagnosis import Diagnosis, diagnose
 from caphy.diagnose.figures import figures, sentences
+from caphy.diagnose.groups import Group
 from caphy.diagnose.pictures import force_pictures
-from caphy.diagnose.search import screen
+from caphy.diagnose.rivals import settle_rivals
+from caphy.diagnose.search import Search, refitted, screen
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement, write_measurement
 from caphy.measure.scene import Scene
+from caphy.refit.columns import addition
+from caphy.refit.heldout import Apart
 from caphy.refit.refit import refit
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 DRAG = 0.6  # kg/m^2/s against the velocity: a rate of 3 1/s on cloth of 0.2 kg/m^2
+HIDDEN, WRONG = "mass_damping", "air_drag_normal"
 
 
 def taken(seed: int, **hidden) -> Measurement:
@@ -199,3 +204,61 @@ def test_the_commands_write_what_they_say(tmp_path, dragged, capsys):
     assert again.history[-1].added == ("mass_damping",)
     assert again.history[-1].error_after < again.history[-1].error_before
     assert "before" in better.with_suffix(".html").read_text()
+
+
+@pytest.fixture(scope="module")
+def apart(named, dragged) -> Apart:
+    return Apart(Study([checked_scene(dragged[1], MODEL)]), named.search.screens[0].variance)
+
+
+def searched(named: Diagnosis, told: bool) -> Search:
+    """The same search; unless ``told`` as if tangents had said nothing of its numbers."""
+    screens = [screen if told else replace(screen, scores=[]) for screen in named.search.screens]
+    return replace(named.search, terms=list(named.search.terms), screens=screens)
+
+
+def mistaken(named: Diagnosis, told: bool) -> Search:
+    """The same search, had it taken the wrong one."""
+    found = searched(named, told)
+    group, term = Group(WRONG, addition(WRONG)), found.terms[0]
+    found.fit = refitted(named.study, found, [group], "the wrong one")
+    found.terms = [replace(term, group=group, fit=found.fit, tried={WRONG: 0.5, HIDDEN: 0.45}, even=())]
+    return found
+
+
+def test_what_the_search_took_by_mistake_is_put_right(named, apart):
+    assert named.found == (HIDDEN,)
+    found = mistaken(named, told=False)
+    settle_rivals(named.study, found, apart)
+    (term,) = found.terms
+    assert term.group.name == HIDDEN
+    assert WRONG not in [group.name for group in term.even]
+    assert found.fit is term.fit and found.fit is not None
+    rate = float(found.model.effects[HIDDEN]["rate"])
+    assert rate == pytest.approx(named.coefficients[f"{HIDDEN}.rate"].value, rel=0.03)
+    assert rate == pytest.approx(DRAG / MODEL.density, rel=0.06)  # the integrator damps edges a little, too
+
+
+def test_what_is_right_stays(named, apart):
+    found = searched(named, told=False)
+    before = found.fit
+    found.terms[0] = replace(found.terms[0], tried={WRONG: 0.45, HIDDEN: 0.5})
+    settle_rivals(named.study, found, apart)
+    assert found.fit is before and found.terms[0].group.name == HIDDEN
+
+
+def test_both_are_named_where_what_is_held_out_says_otherwise(named, apart, monkeypatch):
+    found = mistaken(named, told=False)
+    before, errors = found.fit, apart.errors
+    turned = lambda fitted: replace(errors(fitted), after_mm=-errors(fitted).after_mm)  # noqa: E731
+    monkeypatch.setattr(apart, "errors", turned)
+    settle_rivals(named.study, found, apart)
+    assert found.fit is before and found.terms[0].group.name == WRONG
+    assert [group.name for group in found.terms[0].even] == [HIDDEN]
+
+
+def test_what_tangents_told_is_tried_no_more(named, apart):
+    found = mistaken(named, told=True)
+    before = found.fit
+    settle_rivals(named.study, found, apart)
+    assert found.fit is before and found.terms[0].group.name == WRONG

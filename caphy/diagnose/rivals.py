@@ -1,0 +1,73 @@
+"""Whether what came near an accepted explanation, fitted in its place, meets measurements better on real roll-outs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from caphy.diagnose.ambiguity import alike
+from caphy.diagnose.groups import Group
+from caphy.diagnose.search import Search, Term, refitted
+from caphy.refit.heldout import Apart
+from caphy.refit.study import Fit, Study, retold
+
+TOLD = 0.5
+"""Of what a fitted effect does: by how much what tangents promised may differ for them to have ranked it rightly."""
+
+
+def settle_rivals(study: Study, found: Search, apart: Apart) -> None:
+    """Put in the place of each accepted effect the one that came nearest to it, where that leaves less of the windows
+    it is fitted to and of those that are held out. Where it leaves less of one of them, both are named.
+
+    Explanations are ranked by tangents where they are not there. Of internal friction and viscosity these tell a third
+    and less of what a fit comes to, so that the wrong one may stand first; nor do tangents at both fits tell, for
+    neither is linear on the way between. Rivals have as many numbers, and what is held out was seen by neither. Effects
+    whose fit came to what tangents had told are left as they are.
+    """
+    first = found.screens[0]
+    for place, term in enumerate(found.terms):
+        rival = _rival(found, term)
+        if rival is None or found.fit is None:
+            continue
+        others, what = [other.group for other in found.terms if other is not term], f"trying {rival.label} instead"
+        fitted = refitted(study, found, (*others, rival), what)
+        fitted = retold(study, fitted, first.variance, first.evidence.weight, what)
+        better = [fitted.misfit < found.fit.misfit, _median(apart, fitted) < _median(apart, found.fit)]
+        known = tuple(group for group in term.even if group.name != rival.name)
+        if all(better):
+            found.fit = fitted
+            found.terms[place] = replace(term, group=rival, fit=fitted, even=known)
+        elif any(better):
+            found.terms[place] = replace(term, even=(*known, rival))
+
+
+def _median(apart: Apart, fitted: Fit) -> float:
+    return apart.errors(fitted).after_mm
+
+
+def _rival(found: Search, term: Term) -> Group | None:
+    """What came nearest to an accepted effect in the search, of as many numbers, or else what moves the cloth alike;
+    none where tangents had told the effect's numbers."""
+    if term.group.own or _told(found, term):
+        return None
+    taken = {other.group.name for other in found.terms}
+    tried = [group for group in found.screens[0].groups if group.label in term.tried]
+    near = [*sorted(tried, key=lambda group: -term.tried[group.label]), *alike(found, term)]
+    size = len(term.group.columns)
+    fit = (group for group in near if not group.own and group.name not in taken and len(group.columns) == size)
+    return next(fit, None)
+
+
+def _told(found: Search, term: Term) -> bool:
+    """Whether tangents of some screen had told the numbers that were fitted."""
+    assert found.fit is not None
+    change = found.fit.change[[found.fit.columns.index(column) for column in term.group.columns]]
+    for screen in found.screens:
+        for score in screen.scores:
+            if score.group.columns == term.group.columns:
+                place, (normal, _) = screen.places[score.group.label], screen.evidence.normal
+                metric, away = normal[np.ix_(place, place)], score.change - change
+                if away @ metric @ away <= TOLD**2 * (change @ metric @ change):
+                    return True
+    return False
