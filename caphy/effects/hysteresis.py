@@ -6,16 +6,7 @@ import torch
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.membrane import (
-    Deformation,
-    Membrane,
-    Symmetric,
-    Tangent,
-    membrane_gradient,
-    positive_part,
-    square,
-    strained,
-)
+from caphy.effects.membrane import Membrane, Symmetric, Tangent, square, strain_rate
 
 
 class Hysteresis(Membrane):
@@ -34,22 +25,25 @@ class Hysteresis(Membrane):
     }
     reference = "Miguel et al., Modeling and estimation of internal friction in cloth, SIGGRAPH Asia 2013"
     needs_step = True
+    semidefinite = True  # against a rate friction is the less, the faster it is already, and never turns round
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
         assert e.dt is not None
-        return e.dt * p["friction"] * (_size(strained(strain, e), p) - p["slip"])
+        return e.dt * p["friction"] * (_size(strain_rate(strain, e), p) - p["slip"])
 
-    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
-        deformation = Deformation.of(e)
-        energy = e.rest["area"] * self.density(deformation.strain, e, p)
-        return energy, membrane_gradient(e, deformation, _stress(strained(deformation.strain, e), p))
-
-    def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
-        """Semi-definite as it stands: friction against a rate is the less, the faster it is already."""
+    def _stressed(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Tensor, Symmetric]:
         assert e.dt is not None
-        rate = uu, vv, uv = strained(strain, e)
-        size, stress = _size(rate, p), _stress(rate, p)
-        stiff, turned = p["friction"] / (e.dt * size), 1 / (size * size)
+        rate = uu, vv, uv = strain_rate(strain, e)
+        size = _size(rate, p)
+        friction = p["friction"] / size
+        return e.dt * p["friction"] * (size - p["slip"]), (friction * uu, friction * vv, friction * uv)
+
+    def _responded(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Symmetric, Tangent]:
+        assert e.dt is not None
+        rate = uu, vv, uv = strain_rate(strain, e)
+        size = _size(rate, p)
+        friction = p["friction"] / size
+        stiff, turned = friction / e.dt, 1 / (size * size)
         tangent = (
             stiff * (1 - uu * uu * turned),
             stiff * (1 - vv * vv * turned),
@@ -58,15 +52,9 @@ class Hysteresis(Membrane):
             -stiff * uu * uv * turned,
             -stiff * vv * uv * turned,
         )
-        return positive_part(stress) if convex else stress, tangent
+        return (friction * uu, friction * vv, friction * uv), tangent
 
 
 def _size(rate: Symmetric, p: Values) -> Tensor:
     """Of a rate of strain (..., n) [1/s], smoothed."""
     return torch.sqrt(square(rate) + p["slip"] ** 2)
-
-
-def _stress(rate: Symmetric, p: Values) -> Symmetric:
-    uu, vv, uv = rate
-    friction = p["friction"] / _size(rate, p)
-    return friction * uu, friction * vv, friction * uv

@@ -13,6 +13,7 @@ where w_i (2,) is the gradient of corner i's hat function [1/m]. Everything is w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -105,6 +106,8 @@ class Membrane(Effect):
 
     element = "face"
     internal = True
+    semidefinite: ClassVar[bool] = False
+    """Whether the tangent is positive semi-definite at every strain, so that nothing of it is ever left out."""
 
     def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
         return membrane_rest(cloth)
@@ -118,7 +121,7 @@ class Membrane(Effect):
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         deformation = Deformation.of(e)
-        density, stress, _ = self._differentiated(deformation.strain, e, p, order=1)
+        density, stress = self._stressed(deformation.strain, e, p)
         return e.rest["area"] * density, membrane_gradient(e, deformation, stress)
 
     def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
@@ -127,12 +130,20 @@ class Membrane(Effect):
         With ``convex`` compressive stress is left out and the tangent's negative eigenvalues are set to zero.
         """
         stress, tangent = self._responded(strain, e, p)
+        if convex and self.semidefinite:
+            return positive_part(stress), tangent
         if convex:
             whole = torch.stack([tangent[place] for place in _PLACES]).unflatten(0, (3, 3))
             return positive_part(stress), _entries(clamp_eigenvalues(whole[None, :, None])[0, :, 0])
         return stress, tangent
 
+    def _stressed(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Tensor, Symmetric]:
+        """Density (..., n) and stress; override with a closed form where speed pays."""
+        density, stress, _ = self._differentiated(strain, e, p, order=1)
+        return density, stress
+
     def _responded(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Symmetric, Tangent]:
+        """Stress and tangent; override with a closed form where speed pays."""
         _, stress, tangent = self._differentiated(strain, e, p, order=2)
         return stress, _entries(tangent)
 
@@ -177,7 +188,7 @@ def strain_of(e: Elements, x: Tensor) -> Symmetric:
     return Deformation.of(Elements(x, e.rest)).strain
 
 
-def strained(strain: Symmetric, e: Elements) -> Symmetric:
+def strain_rate(strain: Symmetric, e: Elements) -> Symmetric:
     """Change of the Green strain over the step per second (..., n) [1/s], from where it set out to ``strain``."""
     assert e.origin is not None and e.dt is not None
     then = e.once("strain at the origin", e.origin, lambda origin: torch.stack(strain_of(e, origin)))

@@ -6,14 +6,7 @@ import torch
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.membrane import (
-    Deformation,
-    Membrane,
-    Symmetric,
-    Tangent,
-    membrane_gradient,
-    positive_part,
-)
+from caphy.effects.membrane import Membrane, Symmetric, Tangent
 
 
 class StrainStVK(Membrane):
@@ -30,18 +23,16 @@ class StrainStVK(Membrane):
         "lame_mu": Parameter(11.1, "N/m", 0.0, 1e5, doc="second Lame parameter (shear) of the sheet"),
     }
     reference = "Santesteban, Otaduy, Casas, SNUG, CVPR 2022, eq. 5; CaPhy eq. 4-6"
+    semidefinite = True
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
         return stvk_density(strain, p)
 
-    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
-        deformation = Deformation.of(e)
-        energy = e.rest["area"] * stvk_density(deformation.strain, p)
-        return energy, membrane_gradient(e, deformation, _stress(deformation.strain, p))
+    def _stressed(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Tensor, Symmetric]:
+        return stvk_density(strain, p), _stress(strain, p)
 
-    def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
-        stress = _stress(strain, p)
-        return positive_part(stress) if convex else stress, _tangent(stress[0], p)
+    def _responded(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Symmetric, Tangent]:
+        return _stress(strain, p), _tangent(strain[0], p)
 
 
 def stvk_density(strain: Symmetric, p: Values) -> Tensor:

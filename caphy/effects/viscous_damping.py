@@ -6,16 +6,7 @@ import torch
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.membrane import (
-    Deformation,
-    Membrane,
-    Symmetric,
-    Tangent,
-    membrane_gradient,
-    positive_part,
-    square,
-    strained,
-)
+from caphy.effects.membrane import Membrane, Symmetric, Tangent, square, strain_rate
 
 
 class ViscousDamping(Membrane):
@@ -30,23 +21,22 @@ class ViscousDamping(Membrane):
     parameters = {"viscosity": Parameter(0.1, "N s/m", 0.0, 1e3, doc="tension per rate of strain")}
     reference = "Kharevych et al., Geometric, variational integrators for computer animation, SCA 2006, section 5"
     needs_step = True
+    semidefinite = True
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
         assert e.dt is not None
-        return 0.5 * e.dt * p["viscosity"] * square(strained(strain, e))
+        return 0.5 * e.dt * p["viscosity"] * square(strain_rate(strain, e))
 
-    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
-        deformation = Deformation.of(e)
-        energy = e.rest["area"] * self.density(deformation.strain, e, p)
-        return energy, membrane_gradient(e, deformation, _stress(deformation.strain, e, p))
+    def _stressed(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Tensor, Symmetric]:
+        return self.density(strain, e, p), _stress(strain, e, p)
 
-    def response(self, strain: Symmetric, e: Elements, p: Values, convex: bool = False) -> tuple[Symmetric, Tangent]:
+    def _responded(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Symmetric, Tangent]:
         assert e.dt is not None
-        stress, zero = _stress(strain, e, p), torch.zeros_like(strain[0])
+        zero = torch.zeros_like(strain[0])
         direct = zero + p["viscosity"] / e.dt
-        return positive_part(stress) if convex else stress, (direct, direct, 0.5 * direct, zero, zero, zero)
+        return _stress(strain, e, p), (direct, direct, 0.5 * direct, zero, zero, zero)
 
 
 def _stress(strain: Symmetric, e: Elements, p: Values) -> Symmetric:
-    uu, vv, uv = strained(strain, e)
+    uu, vv, uv = strain_rate(strain, e)
     return p["viscosity"] * uu, p["viscosity"] * vv, p["viscosity"] * uv
