@@ -30,7 +30,7 @@ from caphy.io.procedural import procedural_motion
 from caphy.solve.assembly import Hessian
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.factorize import Factor
-from caphy.solve.integrators import SDIRK2, ImplicitEuler, State
+from caphy.solve.integrators import SDIRK2, ImplicitEuler, Integrator, State
 from caphy.solve.newton import Newton
 from caphy.solve.preroll import start_state
 from caphy.solve.rollout import Simulator
@@ -66,14 +66,18 @@ def timed(spent: Counter, label: str, owner: Any, name: str) -> None:
     setattr(owner, name, wrapper)
 
 
-def worn(name: str, poses: PoseSequence, tolerance: float) -> tuple[Simulator, State]:
-    """A T-shirt on the moving body by implicit Euler, and where it starts."""
+def worn(
+    name: str, poses: PoseSequence, tolerance: float, integrator: Integrator, friction: float = 0.0
+) -> tuple[Simulator, State]:
+    """A T-shirt on the moving body, and where it starts."""
     body = default_body()
     garment = make(replace(Tshirt(), edge_length=EDGES[name]), body)
     model = snug_model()
+    if friction:
+        model = model.with_effect("body_friction", coefficient=friction)
     newton = Newton(Potential(model, Cloth.of(garment, model.density)), tolerance=tolerance)
     motion = BodyMotion(body, poses, garment)
-    return Simulator(newton, motion, ImplicitEuler()), start_state(newton, motion)
+    return Simulator(newton, motion, integrator), start_state(newton, motion)
 
 
 def pinned(tolerance: float, cells: int = 34) -> tuple[Simulator, State]:
@@ -127,7 +131,11 @@ def main() -> None:
     timed(spent, "contact", BodyMotion, "state")
     print(f"{'':24}{'vertices':>9}{'s/frame':>9}{'median':>8}{'minima':>7}{'newton':>8}{'converged':>10}  share")
     for name in EDGES:
-        measure("T-shirt, implicit Euler", *worn(name, poses, options.tolerance), len(poses) - 1, 1, spent)
+        shirt = worn(name, poses, options.tolerance, ImplicitEuler())
+        measure("T-shirt, implicit Euler", *shirt, len(poses) - 1, 1, spent)
+    for friction in (0.0, 0.3):
+        shirt = worn("2k", poses, options.tolerance, SDIRK2(), friction)
+        measure(f"friction {friction}, SDIRK2", *shirt, len(poses) - 1, 1, spent)
     measure("pins, SDIRK2 twice", *pinned(options.tolerance), 3 * options.frames, 2, spent)
 
 

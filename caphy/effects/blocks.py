@@ -55,7 +55,7 @@ def add_blocks(
         potential, term: the effect, and what it is a part of.
         x, step, body: positions (V, 3) [m] and the situation.
         projection: 0 for exact Hessians, 1 for positive semi-definite ones, in between a mixture. Vertices' are
-            exact or not.
+            exact or not, but for abrupt effects: their exact ones lead too far at first and converge at last.
         slots: places among the blocks of the pairs of an element's corners (n, k, k), -1 where not stored.
     """
     effect = type(term.effect)
@@ -72,7 +72,8 @@ def add_blocks(
         _add_hinge(term, elements, _array(x), projection, slots, blocks)
     else:
         hessians = (term.effect.hessian, term.effect.projected_hessian)
-        mixture = projection if term.effect.element != "vertex" else float(projection > 0)
+        mixed = term.effect.element != "vertex" or term.effect.abrupt
+        mixture = projection if mixed else float(projection > 0)
         found = _mixed(lambda convex: hessians[convex](elements, term.values), mixture)
         block_kernels.scatter(found, slots, blocks)
 

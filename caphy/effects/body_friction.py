@@ -47,15 +47,22 @@ class BodyFriction(Effect):
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
         """Positive semi-definite as it stands."""
-        assert e.dt is not None and e.body is not None
         slide, speed = _slide(e, p)
-        normal = e.body["normal"]
-        identity = torch.eye(3, dtype=normal.dtype, device=normal.device).reshape(3, 3, *(1,) * (normal.dim() - 1))
-        plane = identity - normal[:, None] * normal - slide[:, None] * slide / speed**2
-        return (_grip(e, p) / (e.dt**2 * speed) * plane)[None, :, None]
+        return _stiffness(e, p, slide[:, None] * slide / speed**2)
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
-        return self.hessian(e, p)
+        """Of a quadratic in the slide that touches the energy and is nowhere below it: a step along it never goes too
+        far, where Newton's goes far beyond rest, since the energy of what slides is all but straight."""
+        return _stiffness(e, p, torch.zeros_like(e.rest["area"]))
+
+
+def _stiffness(e: Elements, p: Values, along: Tensor) -> Tensor:
+    """grip / (dt^2 speed) (1 - n n^T - along) [N/m], one corner by one corner; ``along`` (3, 3, ..., n) or zero."""
+    assert e.dt is not None and e.body is not None
+    normal, (_, speed) = e.body["normal"], _slide(e, p)
+    identity = torch.eye(3, dtype=normal.dtype, device=normal.device).reshape(3, 3, *(1,) * (normal.dim() - 1))
+    plane = identity - normal[:, None] * normal - along
+    return (_grip(e, p) / (e.dt**2 * speed) * plane)[None, :, None]
 
 
 def _grip(e: Elements, p: Values) -> Tensor:

@@ -71,3 +71,36 @@ def test_a_hinge_that_folds_through_itself_keeps_its_energy(sheet):
         (defined,) = potential.energies(torch.from_numpy(x)).values()
         assert float(energy) == pytest.approx(stiffness * (np.pi - 0.4) ** 2, rel=1e-4)
         assert float(defined) == pytest.approx(float(energy), rel=1e-12)
+
+
+@pytest.mark.parametrize("projection", [0.0, 0.3, 1.0])
+def test_frictions_blocks_go_from_exact_to_convex(sheet, projection):
+    cloth = sheet(0.4, 0.3, 5, 4)
+    potential = Potential(Model(0.2, {"body_contact": {}, "body_friction": {}}), cloth)
+    at, term, count = moment(cloth, noise=0.03), potential.terms["body_friction"], len(cloth.vertices)
+    elements = potential.elements(term, at.x, at.step, at.body)
+    exact, convex = term.effect.hessian(elements, term.values), term.effect.projected_hessian(elements, term.values)
+    assert (convex - exact).abs().max() > 0.1 * exact.abs().max()
+    blocks, slots = np.zeros((count, 3, 3)), np.arange(count, dtype=np.int32)[:, None, None]
+    add_blocks(potential, term, at.x, at.step, at.body, projection, slots, blocks)
+    expected = torch.lerp(exact, convex, projection)[0, :, 0].permute(2, 0, 1)
+    np.testing.assert_allclose(blocks, expected, atol=1e-12 * float(convex.abs().max()))
+
+
+@pytest.mark.parametrize("slip", [1e-3, 0.01, 0.3])
+def test_frictions_convex_quadratic_is_nowhere_below_its_energy(sheet, slip):
+    """So a step to its minimum never raises the energy (Lange, MM Optimization Algorithms, 2016)."""
+    cloth = sheet(0.4, 0.3, 5, 4)
+    friction = {"coefficient": 0.5, "slip": slip}
+    potential = Potential(Model(0.2, {"body_contact": {}, "body_friction": friction}), cloth)
+    at, term = moment(cloth, noise=0.03), potential.terms["body_friction"]
+    elements = potential.elements(term, at.x, at.step, at.body)
+    values, energy = term.values, term.effect.energy(elements, term.values)
+    gradient = term.effect.gradient(elements, values)[1][0]
+    hessian = term.effect.projected_hessian(elements, values)[0, :, 0]
+    random = torch.Generator().manual_seed(0)
+    for length in (1e-5, 1e-3, 1e-2, 0.1):
+        move = length * torch.randn(elements.x.shape, dtype=torch.float64, generator=random)
+        there = replace(elements, x=elements.x + move)
+        quadratic = energy + (gradient * move[0]).sum(0) + torch.einsum("iv,ijv,jv->v", move[0], hessian, move[0]) / 2
+        assert (term.effect.energy(there, values) <= quadratic + 1e-12 * quadratic.abs().max()).all()
