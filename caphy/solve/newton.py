@@ -197,14 +197,14 @@ class Newton:
         reason = "converged" if converged else f"stopped after {self.max_iterations} iterations"
         return here.x, Report(converged, self.max_iterations, here.residual, reason)
 
-    def factorize(self, x: Tensor, step: Step | None, body: Body | None = None, projected: bool = False) -> Factor:
+    def factorize(self, x: Tensor, step: Step | None, body: Body | None = None) -> Factor:
         """The factorised Hessian at positions (V, 3) [m], for tangents of the converged step.
 
-        Exact where it is positive definite (as at a proper minimum), projected otherwise or if asked for.
+        Exact where it is positive definite (as at a proper minimum), otherwise projected as little as makes it so.
         """
         state = None if body is None else body(x)
-        if not projected:
-            factor = self.hessian.factorize(self.hessian.values(x, step, state, projection=0))
+        for projection in (0.0, *_PROJECTIONS[:-1]):
+            factor = self.hessian.factorize(self.hessian.values(x, step, state, projection))
             if factor is not None:
                 return factor
         return self._damped(self.hessian.values(x, step, state), 0.0)[0]

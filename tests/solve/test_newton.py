@@ -61,3 +61,21 @@ def test_no_step_passes_through_a_body(box_body, mat):
     found, report = newton.minimise(x, step, lambda positions: motion.state(0.0, positions.numpy(), 1 / 30))
     assert report.converged
     assert float(found[:, 1].min()) > -0.02
+
+
+def test_tangents_project_as_little_as_they_must(sheet):
+    """Cloth crumpled so far that neither the exact Hessian nor the nearest mixture is positive definite."""
+    cloth = sheet(0.4, 0.4, 7, 7)
+    newton = Newton(Potential(Model(0.2, ACTING), cloth))
+    random, x = np.random.default_rng(7), torch.from_numpy(cloth.vertices)
+    step = Step.implicit_euler(0.013, x, x)
+    crumpled = torch.from_numpy(0.997 * cloth.vertices + 0.001 * random.normal(size=cloth.vertices.shape))
+    lowest = {p: np.linalg.eigvalsh(_dense(newton, crumpled, step, p))[0] for p in (0.0, 1e-6, 0.5)}
+    assert lowest[0.0] < 0 and lowest[1e-6] < 0 < lowest[0.5]
+    right = random.normal(size=cloth.vertices.shape)
+    expected = np.linalg.solve(_dense(newton, crumpled, step, 0.5), right.ravel()).reshape(-1, 3)
+    np.testing.assert_allclose(newton.factorize(crumpled, step).solve(right), expected, rtol=1e-8)
+
+
+def _dense(newton, x, step, projection):
+    return newton.hessian.matrix(newton.hessian.values(x, step, projection=projection)).toarray()
