@@ -133,9 +133,9 @@ def main() -> None:
     for name in EDGES:
         shirt = worn(name, poses, options.tolerance, ImplicitEuler())
         measure("T-shirt, implicit Euler", *shirt, len(poses) - 1, 1, spent)
-    for friction in (0.0, 0.3):
+    for friction in (0.0, 0.3):  # by SDIRK2
         shirt = worn("2k", poses, options.tolerance, SDIRK2(), friction)
-        measure(f"friction {friction}, SDIRK2", *shirt, len(poses) - 1, 1, spent)
+        measure(f"T-shirt, friction {friction}", *shirt, len(poses) - 1, 1, spent)
     measure("pins, SDIRK2 twice", *pinned(options.tolerance), 3 * options.frames, 2, spent)
 
 

@@ -179,8 +179,8 @@ class Effect:
             tried as an addition to any model; unless said, those in which the energy is linear.
         internal: exerts no net force and no net torque.
         abrupt: the first bit of its coefficient does what more of it would, as dry friction, which stops what would
-            slide: responses to it, where it is off, are told by a roll-out with the default instead of a tangent, and a
-            solver begins with :meth:`projected_hessian`.
+            slide: responses to it, where it is off, are told by a roll-out with the default instead of a tangent. Where
+            a solver's steps go too far it mixes in :meth:`projected_hessian`.
         needs_step: acts only in motion (inertia, damping, friction); skipped in statics.
         reads_step: acts in statics too, but reads the step where there is one (mass: inertia and weight).
         needs_body: reads :class:`BodyState`; skipped where there is no body.

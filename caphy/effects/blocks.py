@@ -55,7 +55,7 @@ def add_blocks(
         potential, term: the effect, and what it is a part of.
         x, step, body: positions (V, 3) [m] and the situation.
         projection: 0 for exact Hessians, 1 for positive semi-definite ones, in between a mixture. Vertices' are
-            exact or not, but for abrupt effects: their exact ones lead too far at first and converge at last.
+            exact or not, but for abrupt effects, whose exact ones lead too far at first and converge at last.
         slots: places among the blocks of the pairs of an element's corners (n, k, k), -1 where not stored.
     """
     effect = type(term.effect)

@@ -20,10 +20,10 @@ from caphy.solve.newton import Body, Newton, Report
 
 _GRIPS, _GRIPPED = 4, 1e-5
 """How often friction is told anew of the push that a step ends with, at most, and the change [m] below which it is that
-one. Of 288 steps of cloth on a ball 285 came so near, the others within 0.05 mm."""
+one. Of 6,880 minima of cloth on pins with a ball 6,871 came so near, seven others within 0.11 mm."""
 _SHRINKS = 0.9
 """Where a change is no smaller than this share of the one before it, a vertex is handed to and fro, as between arm and
-trunk, and would be for ever."""
+trunk, and would be for ever (two of those 6,880, by 3 and 7 mm)."""
 
 
 @dataclass(frozen=True)

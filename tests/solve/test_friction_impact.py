@@ -13,7 +13,7 @@ from caphy.effects.potential import Potential
 from caphy.io.poses import PoseSequence
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import SDIRK2, ImplicitEuler
-from caphy.solve.newton import Newton
+from caphy.solve.newton import Newton, Report
 from caphy.solve.rollout import Simulator, State
 
 MU, SPEED, SIDEWAYS = 0.3, 1.0, 2.0
@@ -35,3 +35,28 @@ def test_an_impact_slows_the_slide_by_mu_times_what_it_gives_back(integrator, ra
     assert all(report.converged for report in reports)
     along, up = state.v[:, 0].mean().item(), state.v[:, 1].mean().item()
     assert SIDEWAYS - along == pytest.approx(MU * (up + SPEED), rel=0.02)
+
+
+class HandedToAndFro:
+    """Stands for a solver whose minimum jumps by ``jumps`` [m], one after the other, whatever the push."""
+
+    fixed = None
+
+    def __init__(self, potential, jumps):
+        self.potential, self.jumps, self.asked = potential, list(jumps), 0
+
+    def minimise(self, guess, step, body):
+        self.asked += 1
+        return guess + self.jumps[self.asked - 1], Report(True, 1, 0.0, "converged")
+
+
+@pytest.mark.parametrize(
+    ("jumps", "asked"),
+    [([0.0, 3e-3, -3e-3, 3e-3, -3e-3], 3), ([0.0, 3e-3, -1e-3, 1e-6, 0], 4), ([0.0, 4e-3, -3e-3, 2e-3, -1e-3], 5)],
+)
+def test_friction_is_told_anew_while_that_moves_less_and_less(jumps, asked, box_body, mat):
+    still = PoseSequence(np.zeros((2, 55, 3)), np.zeros((2, 3)), 30.0)
+    motion, potential = BodyMotion(box_body, still, mat), Potential(Model(0.2, EFFECTS), Cloth.of(mat, 0.2))
+    solver, x = HandedToAndFro(potential, jumps), torch.from_numpy(mat.vertices)
+    _, (report,) = Simulator(solver, motion, ImplicitEuler()).advance(State(0.0, x, torch.zeros_like(x)), 1 / 30)
+    assert solver.asked == report.iterations == asked
