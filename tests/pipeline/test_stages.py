@@ -35,7 +35,10 @@ class Work:
                 raise KeyboardInterrupt
             if not (out / f"{number}.txt").exists():
                 print(f"wrote {letter}")
-                (out / f"{number}.txt").write_text(letter.upper() if self.big else letter)
+                # As all of caphy writes: a file that is there is whole, also for who kills this once it is seen.
+                partial = out / f"{number}.txt.partial"
+                partial.write_text(letter.upper() if self.big else letter)
+                partial.replace(out / f"{number}.txt")
 
     def count(self) -> None:
         self.runs.append("count")
