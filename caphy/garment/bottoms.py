@@ -10,6 +10,8 @@ from caphy.garment.sections import Sections
 
 CLEARANCE = 0.006
 """Gap [m] where cloth lies on the body, as at the waistband and the seat."""
+PARTED = 0.008
+"""Distance [m] of a thigh from the middle at which cloth finds its way between both."""
 
 
 def trousers(marks: Landmarks, *, rise: float, leg: float, ease: float, leg_ease: float, taper: float) -> Cut:
@@ -21,12 +23,12 @@ def trousers(marks: Landmarks, *, rise: float, leg: float, ease: float, leg_ease
     waist, hem = marks.crotch + rise, marks.crotch - leg
     hips, limb = _hips(marks, waist, ease), _leg(marks, hem, ease, leg_ease, taper)
     skin = body_distance(marks)
-    crotch = marks.crotch - 0.008
+    fork = _fork(marks)
 
     def surface(p: np.ndarray) -> np.ndarray:
         p = folded(p)
-        seat = smooth_max(hips.distance(p), crotch - p[:, 1], 0.02)
-        between = np.clip(0.35 * (marks.crotch - p[:, 1]), 0.0, 0.014)  # half the gap between the legs
+        seat = smooth_max(hips.distance(p), fork - 0.008 - p[:, 1], 0.02)
+        between = np.clip(0.35 * (fork - p[:, 1]), 0.0, 0.014)  # half the gap between the legs
         tube = smooth_max(limb.distance(_unbent(p, marks)), between - p[:, 0], 0.004)
         return smooth_min(smooth_min(seat, tube, 0.012), skin(p) - CLEARANCE, 0.008)
 
@@ -54,6 +56,13 @@ def skirt(marks: Landmarks, *, rise: float, length: float, ease: float, flare: f
     high = np.array([size, waist + 0.06, origin[2] + size])
     openings = {"waist": lambda p: waist - p[:, 1], "hem": lambda p: p[:, 1] - hem}
     return Cut(lambda p: smooth_min(shape.distance(p), skin(p) - CLEARANCE, 0.012), openings, low, high)
+
+
+def _fork(marks: Landmarks) -> float:
+    """Height y at which cloth parts into two legs: at the crotch, or below it where thighs touch."""
+    points = marks.samples("trunk", "leg")
+    close = (np.abs(points[:, 0]) < PARTED) & (points[:, 1] > marks.joint("left_knee")[1])
+    return min(marks.crotch, float(points[close, 1].min(initial=np.inf)))
 
 
 def _hips(marks: Landmarks, waist: float, ease: float) -> Sections:

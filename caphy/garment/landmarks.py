@@ -19,6 +19,8 @@ PARTS = {
     "foot": ("left_ankle", "right_ankle", "left_foot", "right_foot"),
     "trunk": ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),
 }
+LEG = ("hip", "knee", "ankle", "foot")
+"""Joints of a leg."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,19 @@ class Landmarks:
 
     @cached_property
     def crotch(self) -> float:
-        """Height y of the lowest point between the legs."""
-        points = self.samples("trunk", "leg")
-        middle = points[(np.abs(points[:, 0]) < 0.012) & (points[:, 1] > self.joint("left_knee")[1])]
-        return float(middle[:, 1].min())
+        """Height y of the lowest point between the legs: of the line on the skin where both hips weigh alike.
+
+        Where thighs come near each other is no measure of it: on heavy bodies that is centimetres below.
+        """
+        left, right = (
+            self.body.weights[:, [JOINT_NAMES.index(f"{side}_{name}") for name in LEG]].sum(axis=1)
+            for side in ("left", "right")
+        )
+        edges = np.concatenate([self.body.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+        a, b = (left - right)[edges].T
+        edges, a, b = (values[(a > 0) != (b > 0)] for values in (edges, a, b))
+        share = a / (a - b)
+        return float(((1 - share) * self.vertices[edges[:, 0], 1] + share * self.vertices[edges[:, 1], 1]).min())
 
     @cached_property
     def armpit(self) -> float:
