@@ -12,6 +12,7 @@ from caphy.garment import threads, topology
 from caphy.garment.attach import skinning_weights
 from caphy.garment.cut import Cut, smooth_step
 from caphy.garment.landmarks import Landmarks
+from caphy.garment.meshing import SHORTEST, collapse_short
 from caphy.garment.template import Garment
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def dress(family: Family, marks: Landmarks, cut: Cut, vertices: np.ndarray, face
     """Complete a mesh (V, 3), (F, 3) of ``cut``."""
     if "waist" in cut.openings:
         vertices = draw_in(vertices, marks, cut.openings["waist"](vertices))
+        vertices, faces = collapse_short(vertices, faces, SHORTEST * family.edge_length)
     vertices = keep_clear(vertices, faces, marks)
     distance = {name: field(vertices) for name, field in cut.openings.items()}
     regions = name_regions(marks, vertices, distance)

@@ -20,6 +20,7 @@ LEAST_AREA = 0.01
 def contour(field: Field, low: np.ndarray, high: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Zero surface of a ``field`` symmetric in x, by marching cubes on a grid of ``step`` [m], lightly blurred.
 
+    A narrow gap in the middle, as between thighs, is not blurred shut.
     ``low`` and ``high`` (3,) [m] bound the half x >= 0; the other half is its mirror image. Faces are wound so that
     the normal points to where the field is positive.
     """
@@ -30,6 +31,9 @@ def contour(field: Field, low: np.ndarray, high: np.ndarray, step: float) -> tup
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     half = field(grid.reshape(-1, 3)).reshape(grid.shape[:3])
     values = gaussian_filter(np.concatenate([half[:0:-1], half]), 1.0, mode="nearest")
+    middle = values[len(half) - 1]
+    gap = (half[0] > 0) & (half[1] < half[0] - 0.5 * step) & (half[1] < 0)  # between walls that face each other
+    middle[gap] = np.maximum(middle, half[0])[gap]
     vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3, gradient_direction="descent")
     origin = np.array([-axes[0][-1], low[1], low[2]])
     return vertices + origin, faces.astype(np.int64)
