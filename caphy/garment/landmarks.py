@@ -9,6 +9,8 @@ import numpy as np
 
 from caphy.body.model import BodyModel
 from caphy.conventions import JOINT_NAMES
+from caphy.errors import CaphyError
+from caphy.garment import topology
 
 PARTS = {
     "head": ("head", "jaw", "left_eye", "right_eye"),
@@ -68,16 +70,25 @@ class Landmarks:
         """Height y of the lowest point between the legs: of the line on the skin where both hips weigh alike.
 
         Where thighs come near each other is no measure of it: on heavy bodies that is centimetres below.
+
+        Raises:
+            CaphyError: the skinning weights tell no left leg from a right one.
         """
         left, right = (
             self.body.weights[:, [JOINT_NAMES.index(f"{side}_{name}") for name in LEG]].sum(axis=1)
             for side in ("left", "right")
         )
-        edges = np.concatenate([self.body.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+        edges = topology.edges(self.body.faces)
         a, b = (left - right)[edges].T
-        edges, a, b = (values[(a > 0) != (b > 0)] for values in (edges, a, b))
-        share = a / (a - b)
-        return float(((1 - share) * self.vertices[edges[:, 0], 1] + share * self.vertices[edges[:, 1], 1]).min())
+        across = (a > 0) != (b > 0)
+        if not across.any():
+            raise CaphyError(
+                "a body must have skin between its legs, where left and right hip weigh alike, got none; "
+                "do its skinning weights have the order of SMPL-X's joints?"
+            )
+        (start, end), a, b = edges[across].T, a[across], b[across]
+        share, height = a / (a - b), self.vertices[:, 1]
+        return float(((1 - share) * height[start] + share * height[end]).min())
 
     @cached_property
     def armpit(self) -> float:

@@ -10,6 +10,7 @@ import trimesh
 
 from caphy.body.bundled import default_body
 from caphy.body.model import BodyModel
+from caphy.errors import CaphyError
 from caphy.garment.families import Shorts, make
 from caphy.garment.landmarks import Landmarks
 
@@ -54,3 +55,11 @@ def test_shorts_part_into_two_legs_on_thighs_that_touch(gap, depth):
     assert len(shorts.boundary_loops) == 3
     assert trimesh.Trimesh(shorts.vertices, shorts.faces, process=False).euler_number == -1
     assert shorts.vertices[:, 1].min() == pytest.approx(middle(body) - 0.25, abs=0.005)
+
+
+def test_weights_without_legs_are_named():
+    body = default_body("medium")
+    weights = np.zeros_like(body.weights)
+    weights[:, 0] = 1.0
+    with pytest.raises(CaphyError, match=r"skin between its legs.*order of SMPL-X's joints"):
+        make(Shorts(), replace(body, weights=weights))
