@@ -98,7 +98,8 @@ def main(arguments: list[str]) -> int | None:
     import torch.distributed as dist
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-        dist.init_process_group("nccl" if options.device == "cuda" else "gloo")
+        # What the processes agree on besides gradients lies on the CPU, which nccl does not serve.
+        dist.init_process_group("cpu:gloo,cuda:nccl" if options.device == "cuda" else "gloo")
     status = _run(options)
     if dist.is_initialized():
         # All is written. Gloo's threads may abort a process whose interpreter or group is taken down in order.

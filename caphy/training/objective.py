@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +14,7 @@ from caphy.body.skinning import blend_transforms, skin
 from caphy.body.surface import Surface
 from caphy.effects.base import BodyState, Step
 from caphy.effects.potential import Potential
+from caphy.training.in_threads import in_threads
 from caphy.training.motions import Motions
 from caphy.training.streams import Windows
 
@@ -119,16 +118,6 @@ class Objective:
             result[0, i], result[1, i] = found.point, found.normal
             result[2, i] = (found.point - np.einsum("vk,vkc->vc", found.barycentric, corners)) / self.dt
 
-        _in_threads(look, len(points))
+        in_threads(look, len(points))
         point, normal, velocity = torch.from_numpy(result).to(x).unflatten(1, x.shape[:2])
         return BodyState(point, normal, velocity, anchor)
-
-
-def _in_threads(work: Callable[[int], None], count: int) -> None:
-    """Do ``work`` for 0 .. count - 1 in as many threads as torch uses."""
-    if torch.get_num_threads() == 1:
-        for i in range(count):
-            work(i)
-        return
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        list(pool.map(work, range(count)))

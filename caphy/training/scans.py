@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
 from caphy.register.cloud import even_sample
 from caphy.register.points import ScanPoints
+from caphy.training.in_threads import in_threads
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective, Past
 from caphy.training.streams import HELD_WINDOWS, WINDOW, Windows
@@ -94,6 +96,19 @@ class Target:
         return self.cloth.data[nearest], shown
 
 
+class Counterparts(NamedTuple):
+    """What lies nearest to what, between cloth of V vertices and a scan's sample of N points."""
+
+    point: np.ndarray
+    """The scan's point nearest to each vertex (V, 3) [m]."""
+    shown: np.ndarray
+    """Whether the scan shows the vertex (V,)."""
+    face: np.ndarray
+    """The cloth's face nearest to each point (N,)."""
+    barycentric: np.ndarray
+    """Where on it (N, 3)."""
+
+
 class Chamfer:
     """Two-sided squared distance between a garment and its points in scans.
 
@@ -108,21 +123,27 @@ class Chamfer:
         """Faces (F, 3), rest vertices (V, 3) [m] and vertex areas (V,) [m^2] of the garment."""
         self.surface, self.area = Surface.of(faces, rest), torch.as_tensor(area, dtype=torch.float32)
 
-    def __call__(self, x: Tensor, target: Target) -> Tensor:
-        """Sum of both mean squared distances [m^2] of vertices x (V, 3), differentiable."""
-        still = x.detach().cpu().double().numpy()
-        return self.to_points(x, still, target) + self.to_cloth(x, still, target)
+    def __call__(self, x: Tensor, target: Target, found: Counterparts | None = None) -> Tensor:
+        """Sum of both mean squared distances [m^2] of vertices x (V, 3), differentiable.
 
-    def to_points(self, x: Tensor, still: np.ndarray, target: Target) -> Tensor:
+        ``found``: what :meth:`look` found at these vertices, if it has looked.
+        """
+        found = self.look(x.detach().cpu().double().numpy(), target) if found is None else found
+        return self.to_points(x, found) + self.to_cloth(x, found, target)
+
+    def look(self, x: np.ndarray, target: Target) -> Counterparts:
+        """The nearest points of cloth at x (V, 3) and scan, on the CPU."""
+        back = self.surface.nearest(target.sample, x)
+        return Counterparts(*target.counterparts(x), np.asarray(back.face), np.asarray(back.barycentric))
+
+    def to_points(self, x: Tensor, found: Counterparts) -> Tensor:
         """Mean squared distance of the cloth from the scan's points [m^2]."""
-        nearest, shown = target.counterparts(still)
-        weight = self.area.to(x) * torch.from_numpy(shown).to(x)
-        square = (x - torch.from_numpy(nearest).to(x)).square().sum(-1)
+        weight = self.area.to(x) * torch.from_numpy(found.shown).to(x)
+        square = (x - torch.from_numpy(found.point).to(x)).square().sum(-1)
         return (weight * square).sum() / weight.sum().clamp_min(1e-12)
 
-    def to_cloth(self, x: Tensor, still: np.ndarray, target: Target) -> Tensor:
+    def to_cloth(self, x: Tensor, found: Counterparts, target: Target) -> Tensor:
         """Mean squared distance of the scan's points from the cloth [m^2]."""
-        found = self.surface.nearest(target.sample, still)
         share = torch.from_numpy(found.barycentric).to(x)
         corners = x[torch.from_numpy(self.surface.faces[found.face]).to(x.device)]
         square = ((share[..., None] * corners).sum(-2) - torch.from_numpy(target.sample).to(x)).square().sum(-1)
@@ -175,8 +196,10 @@ class ScanLoss:
     def judge(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Tensor, Past]:
         """Positions (B, 1, V, 3) [m] and loss (B, 1) [J] at offsets (B, 1, V, 3) in the last frame of each window."""
         x, potential = self._cloth(motions, windows, offsets)
-        pairs = zip(x[:, 0], windows.frames[:, -1].tolist(), strict=True)
-        squares = torch.stack([self.chamfer(vertices, self.targets[scan]) for vertices, scan in pairs])
+        targets = [self.targets[scan] for scan in windows.frames[:, -1].tolist()]
+        still = x[:, 0].detach().cpu().double().numpy()
+        found = in_threads(lambda i: self.chamfer.look(still[i], targets[i]), len(targets))
+        squares = torch.stack([self.chamfer(*each) for each in zip(x[:, 0], targets, found, strict=True)])
         self.distance = float((0.5 * squares.detach().mean()).sqrt())
         return x, potential + self.weight * squares[:, None], past
 

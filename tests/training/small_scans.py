@@ -68,9 +68,11 @@ def write_run(folder: Path, train: int = 5, held_out: int = 1) -> Path:
     return folder
 
 
-def supervised_trainer(folder: Path, scans: int = 4, physics: bool = True, steps: int = 12, seed: int = 0) -> Trainer:
+def supervised_trainer(
+    folder: Path, scans: int = 4, physics: bool = True, steps: int = 12, seed: int = 0, device: str = "cpu"
+) -> Trainer:
     """A trainer of the tube on two motions and on scans, 300 points each."""
-    base = small_trainer(folder, steps=steps, seed=seed)
+    base = small_trainer(folder, steps=steps, seed=seed, device=device)
     points = [scan(index, 300) for index in range(scans)]
     given = Scans.of(points, "lower", (), base.objective, base.network.driving, 1000.0, physics)
     return Trainer(folder, base.network, base.objective, base.track.motions, None, base.schedule, seed, base.say, given)

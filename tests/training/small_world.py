@@ -57,14 +57,14 @@ def swaying(frames: int = 40, seed: int = 0) -> PoseSequence:
     return PoseSequence(poses, transl, 30.0, source=f"swaying {seed}")
 
 
-def small_trainer(folder: Path, streams: int = 4, steps: int = 6, seed: int = 0) -> Trainer:
+def small_trainer(folder: Path, streams: int = 4, steps: int = 6, seed: int = 0, device: str = "cpu") -> Trainer:
     """A trainer of the tube on two motions."""
     torch.manual_seed(seed)
     garment, body = tube(), default_body()
-    network = GarmentNetwork(garment.vertices, garment.weights, body.joints, layers=2, width=24)
+    network = GarmentNetwork(garment.vertices, garment.weights, body.joints, layers=2, width=24).to(device)
     motions = Motions.of([swaying(40, 0), swaying(25, 1)], body, network.driving, 30.0)
     model = snug_model()
-    potential = Potential(model, Cloth.of(garment, model.density), torch.float32)
+    potential = Potential(model, Cloth.of(garment, model.density), torch.float32, device)
     objective = Objective(potential, body, network.template, network.weights, 30.0)
     schedule = Schedule(steps, None, streams)
     folder.mkdir(parents=True, exist_ok=True)

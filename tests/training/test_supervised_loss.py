@@ -81,8 +81,8 @@ def test_what_another_garment_hides_is_not_pulled():
     _, shown = Target.of(scanned, "lower", ("upper",)).counterparts(x)
     assert (shown == below).mean() > 0.98
     moved = torch.tensor(x, requires_grad=True)
-    target = Target.of(scanned, "lower", ("upper",))
-    (gradient,) = torch.autograd.grad(chamfer(garment).to_points(moved, x, target), moved)
+    target, loss = Target.of(scanned, "lower", ("upper",)), chamfer(garment)
+    (gradient,) = torch.autograd.grad(loss.to_points(moved, loss.look(x, target)), moved)
     assert (gradient[torch.tensor(~shown)] == 0).all() and (gradient[torch.tensor(shown)] != 0).any(-1).all()
     # The shirt itself lies on top: nothing hides it, though trousers are near.
     assert Target.of(scanned, "upper", ()).counterparts(shirt)[1].all()
@@ -105,8 +105,8 @@ def test_points_without_a_counterpart_do_not_pull():
     strays = np.concatenate([points, points[:50] + np.array([0, 2 * FARTHEST, 0.5])])
     gradients = []
     for given in (points, strays):
-        target = Target.of(points_of(given), "lower", ())
-        loss = chamfer(garment).to_cloth(x, x.detach().numpy(), target) * len(given)
+        target, loss = Target.of(points_of(given), "lower", ()), chamfer(garment)
+        loss = loss.to_cloth(x, loss.look(x.detach().numpy(), target), target) * len(given)
         gradients.append(torch.autograd.grad(loss, x)[0])
     torch.testing.assert_close(*gradients, rtol=1e-6, atol=1e-12)
 
