@@ -8,7 +8,6 @@ from typing import TypeVar
 
 import torch
 
-
 Made = TypeVar("Made")
 
 

@@ -150,15 +150,17 @@ def scans_of(folder: Path, hidden: str) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("hidden", ["lower", "upper"])
-def test_the_command_asks_the_scans_what_is_worn_inside(tmp_path, hidden, monkeypatch, capsys):
+@pytest.mark.parametrize(("hidden", "device"), [("lower", "cpu"), ("upper", "cpu"), ("lower", "cuda")])
+def test_the_command_asks_the_scans_what_is_worn_inside(tmp_path, hidden, device, monkeypatch, capsys):
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device")
     monkeypatch.setattr("caphy.training.collide.LEAST_STEPS", 2)
     run = scans_of(tmp_path / "run", hidden)
     write_poses(swaying(60, 0), tmp_path / "motion.npz")
     folders = [str(tmp_path / part) for part in ("upper", "lower")]
     for part, out in zip(("upper", "lower"), folders, strict=True):
         given = [str(run / f"{part}.npz"), str(tmp_path / "motion.npz"), "--scans", str(run), "--steps", "2"]
-        assert main(["train", *given, "-o", out]) == 0
+        assert main(["train", *given, "-o", out, "--device", device]) == 0
     capsys.readouterr()
     arguments = ["collide", *folders, "-o", str(tmp_path / "out"), "--epochs", "1"]
     assert main(arguments) == 0

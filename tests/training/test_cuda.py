@@ -23,6 +23,7 @@ pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a C
 
 def _gradients(trainer: Trainer) -> tuple[float, list[torch.Tensor]]:
     """Loss [J] and gradients of a trainer's first step."""
+    trainer.optimizer.zero_grad()
     track = trainer._turn()
     _, loss = track.advance(trainer.model)
     trainer.averaged(loss).backward()
@@ -84,7 +85,7 @@ def test_what_processes_agree_on_lies_on_the_cpu(tmp_path: Path) -> None:
         trainer = small_trainer(tmp_path / "run", device="cuda")
         trainer.world = 2  # asks the others, of whom there are none
         assert trainer._common(0.25) == 0.25 and trainer._agreed(True)
-        model = torch.nn.parallel.DistributedDataParallel(trainer.learner, forward_sync_buffers=False)
+        model = torch.nn.parallel.DistributedDataParallel(trainer.learner)
         _, loss = trainer.track.advance(model)
         trainer.averaged(loss).backward()
         assert all(p.grad is not None and bool(p.grad.isfinite().all()) for p in trainer.learner.parameters())
