@@ -1,6 +1,6 @@
 """Frames per second of training a 4,424-vertex shirt, everything included, and what the time goes to.
 
-python -m benchmarks.training_speed [--steps 12] [--threads 2]
+python -m benchmarks.training_speed [--steps 12] [--threads 2] [--device cuda]
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ HIPS = 0.1
 """Height of the tube's lower edge above the pelvis, downwards [m]."""
 
 
-def trainer(folder: Path) -> Trainer:
+def trainer(folder: Path, device: str = "cpu") -> Trainer:
     """A trainer of a tube of a shirt's size round the trunk of the bundled body."""
     cloth, body = tube(*T_SHIRT), default_body()
     cloth.vertices[:, 1] -= HIPS
     distance = np.linalg.norm(cloth.vertices[:, None, ::4] - body.v_template[None, ::9, ::4], axis=2)
     weights = body.weights[::9][distance.argmin(1)]
-    network = GarmentNetwork(cloth.vertices, weights, body.joints)
+    network = GarmentNetwork(cloth.vertices, weights, body.joints).to(device)
     motions = Motions.of([procedural_motion(0, 10.0, 30.0)], body, network.driving, 30.0)
-    potential = Potential(snug_model(), cloth, torch.float32)
+    potential = Potential(snug_model(), cloth, torch.float32, device)
     objective = Objective(potential, body, network.template, network.weights, 30.0)
     return Trainer(folder, network, objective, motions, None, Schedule(), say=lambda text: None)
 
@@ -57,11 +57,11 @@ def timed(owner: object, name: str, spent: dict[str, float]) -> Callable[[], Non
     return lambda: setattr(owner, name, method)
 
 
-def measure(steps: int, scored: int) -> None:
+def measure(steps: int, scored: int, device: str = "cpu") -> None:
     """Print frames per second with ``scored`` frames of each window of five under the physics loss."""
     streams.SCORED = scored
     with tempfile.TemporaryDirectory() as folder:
-        training = trainer(Path(folder))
+        training = trainer(Path(folder), device)
         for _ in range(2):
             training.step()
         spent: dict[str, float] = {}
@@ -88,12 +88,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=12)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--device", default="cpu")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     count = T_SHIRT[0] * T_SHIRT[1]
-    print(f"training, forward, backward and step, float32, {count} vertices, {arguments.threads} threads")
+    print(f"training, forward, backward and step, float32, {count} vertices, {arguments.threads} threads, {arguments.device}")
     for scored in (streams.SCORED, streams.WINDOW):
-        measure(arguments.steps, scored)
+        measure(arguments.steps, scored, arguments.device)
 
 
 if __name__ == "__main__":

@@ -233,7 +233,7 @@ def _require_alike(names: Sequence[str], trainings: Sequence[Trainer]) -> None:
     for name, other in zip(names[1:], trainings[1:], strict=True):
         own = [first.track.motions] + ([] if first.scans is None else [first.scans.motions])
         theirs = [other.track.motions] + ([] if other.scans is None else [other.scans.motions])
-        if not np.allclose(first.network.joints, other.network.joints, atol=1e-4):
+        if not torch.allclose(first.network.joints, other.network.joints, atol=1e-4):
             raise CaphyError(f"{name}: was trained on another body than {names[0]}; train them on the same one")
         if first.network.fps != other.network.fps:
             raise CaphyError(f"{name}: runs at {other.network.fps:g} fps, {names[0]} at {first.network.fps:g}")
