@@ -92,7 +92,8 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     count = T_SHIRT[0] * T_SHIRT[1]
-    print(f"training, forward, backward and step, float32, {count} vertices, {arguments.threads} threads, {arguments.device}")
+    where = f"{arguments.threads} threads, {arguments.device}"
+    print(f"training, forward, backward and step, float32, {count} vertices, {where}")
     for scored in (streams.SCORED, streams.WINDOW):
         measure(arguments.steps, scored, arguments.device)
 
