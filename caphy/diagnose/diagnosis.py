@@ -21,7 +21,6 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
-from caphy.measure.noise import measurement_noise
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import Apart, HeldOut
 from caphy.refit.intervals import intervals
@@ -205,7 +204,7 @@ def _concluded(
         held_out=errors,
         outside=elsewhere,
         base=base,
-        noise_mm=_noise(study),
+        noise_mm=max(study.floors_mm, default=None),
         seconds=seconds,
         search=found,
         study=study,
@@ -250,12 +249,6 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
 
 def _median(responses) -> float:
     return 1e3 * float(np.nanmedian(np.concatenate([response.error.ravel() for response in responses])))
-
-
-def _noise(study: Study) -> float | None:
-    found = [measurement_noise(scene.measurement) for scene in study.scenes]
-    known = [1e3 * noise.median for noise in found if noise is not None]
-    return max(known) if known else None
 
 
 def _ranking(found: Search, sure_of_parameters: bool) -> list[Ranked]:

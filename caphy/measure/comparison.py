@@ -120,7 +120,7 @@ def _floor(prediction: Prediction, measurement: Measurement, errors: VertexError
     mesh = None if prediction.mesh_error is None else summary(prediction.mesh_error)["median_mm"]
     start = None if prediction.start_error is None else summary(prediction.start_error)["median_mm"]
     # Of a distance to a surface only the noise across it counts; its median is 0.67 sigma.
-    expected = None if noise is None else MILLI * (noise.median if prediction.registered else 0.6745 * noise.sigma)
+    expected = None if noise is None else MILLI * (noise.median if prediction.registered else noise.median_across)
     total = summary(errors.distance)["median_mm"]
     explained = sum((part or 0) ** 2 for part in (expected, step, mesh, start)) ** 0.5
     left = None if total is None else max(total**2 - explained**2, 0) ** 0.5

@@ -14,6 +14,8 @@ MEDIAN_NORM: Final = 1.5382
 """Median length of a vector of three standard normal numbers: the root of the median of chi-square with 3 degrees."""
 P95_NORM: Final = 2.7955
 """Its 95th percentile."""
+MEDIAN_ONE: Final = 0.6745
+"""Median size of one standard normal number."""
 
 _MEDIAN_CHI2_3 = 2.36597 / 3  # median over mean of chi-square with 3 degrees, one for each coordinate
 _CALM = 0.1  # share of the frames, the calmest, that noise is read from: fast motion is not cubic
@@ -31,6 +33,11 @@ class Noise:
     def median(self) -> float:
         """Median distance between a true and a measured vertex [m]."""
         return MEDIAN_NORM * self.sigma
+
+    @property
+    def median_across(self) -> float:
+        """Median distance of a measured point from the true cloth, across it [m]."""
+        return MEDIAN_ONE * self.sigma
 
 
 def measurement_noise(measurement: Measurement) -> Noise | None:

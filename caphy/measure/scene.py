@@ -36,6 +36,8 @@ class Scene:
         motion: the body, posed or as a mesh; none for cloth on pins alone.
         fixed: which vertices are pinned (V,), or none.
         pins: positions (P, 3) [m] of the pinned vertices at a time [s], or none.
+        slides: whether the measurement is of points that were registered with a model's help, which guessed where the
+            cloth lies along itself: only distances across it are measured.
     """
 
     measurement: Measurement
@@ -43,6 +45,7 @@ class Scene:
     motion: BodyMotion | MeshBody | None
     fixed: np.ndarray | None
     pins: Callable[[float], Tensor] | None
+    slides: bool = False
 
     @classmethod
     def of(cls, measurement: Measurement, garment: Garment | None = None, body: BodyModel | None = None) -> Scene:

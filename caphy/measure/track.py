@@ -82,7 +82,7 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
     """A scene whose cloud has become vertices (T, V, 3) of the garment; one that is registered stays as it is.
 
     Vertices with no point near them count as not seen. What the tracker cannot see, sliding along itself, follows the
-    model, so that an effect that only does that is lost.
+    model, so that the scene :attr:`~caphy.measure.scene.Scene.slides`: it is compared across the cloth alone.
 
     Raises:
         CaphyError: fewer than two frames hold enough points, or the first ones are far from any cloth.
@@ -102,7 +102,7 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
         noise_mm=None if noise is None else 1e3 * noise.sigma,
         notes=(*scene.measurement.notes, "registered with the model's help"),
     )
-    return replace(scene, measurement=measurement)
+    return replace(scene, measurement=measurement, slides=True)
 
 
 class _Tracker:

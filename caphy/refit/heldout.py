@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from caphy.effects.model import Model
-from caphy.measure.noise import measurement_noise
 from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
@@ -89,9 +88,8 @@ class Apart:
         errors = [[1e3 * response.error for response in each] for each in (old, new)]
         medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
-        noise = [measurement_noise(scene.measurement) for scene in self.study.scenes]
-        stated = [1e3 * found.median for found in noise if found is not None]
-        floor = float(np.median(stated)) if stated else None
+        floors = self.study.floors_mm
+        floor = float(np.median(floors)) if floors else None
         rare = where_few_decide(before, known, self.variance, fitted.change)
         return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error, rare)
 

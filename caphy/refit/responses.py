@@ -20,6 +20,7 @@ from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, Wind
 from caphy.refit.columns import Column, extended, moved
 from caphy.refit.modes import Projection, laplacian_modes
 from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
+from caphy.report.render import vertex_normals
 from caphy.solve.integrators import SDIRK2, State
 from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
@@ -52,7 +53,8 @@ class Response:
         columns: what one unit of each number changes (L, M, 3, K) [m].
         nuisance: what one standard deviation of each error that is not the model's changes (L, M, 3, N) [m]: of the
             time step, of the mesh, and of the start.
-        error: distance of each vertex from its measured place (L, V) [m]; NaN where not seen.
+        error: distance of each vertex from its measured place, of clouds across the cloth (L, V) [m]; NaN where not
+            seen.
         converged: whether the solver did, (L,).
     """
 
@@ -213,6 +215,9 @@ class Watched:
         seen = measurement.observed[frames]
         fields = np.concatenate([away[:, None], self._solver[frame], moved], axis=1)  # (L, 3 + K + N, V, 3)
         shape = (self.projection.modes.shape[1], 3, fields.shape[1])
+        if self.scene.slides:
+            fields = _across(fields, run.positions[1:], self.scene.garment.faces)
+            away = fields[:, 0]
         enough = seen.mean(axis=1) >= ENOUGH
         modal = np.stack(
             [
@@ -228,6 +233,15 @@ class Watched:
         return Response(
             self.number, frame, modal[..., 0], enough, modal[..., 3:last], nuisance, error, run.converged[1:]
         )
+
+
+def _across(fields: np.ndarray, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The parts of fields (L, N, V, 3) across a cloth at positions (L, V, 3) [m].
+
+    What lies along it a cloud does not show: the model that helped to register it put it there.
+    """
+    normal = np.stack([vertex_normals(x, faces) for x in positions])[:, None]
+    return (fields * normal).sum(-1, keepdims=True) * normal
 
 
 def _simulator(scene: Scene, model: Model) -> Simulator:

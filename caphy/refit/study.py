@@ -89,6 +89,12 @@ class Study:
             found.append(0.0 if noise is None else noise.sigma / np.sqrt(len(each.scene.garment.vertices)))
         return max(found)
 
+    @property
+    def floors_mm(self) -> list[float]:
+        """Median distance from the truth by noise alone, in each scene where it is known [mm]."""
+        noise = [(measurement_noise(each.scene.measurement), each.scene.slides) for each in self.watched]
+        return [1e3 * (n.median_across if slides else n.median) for n, slides in noise if n is not None]
+
     def respond(
         self,
         model: Model,
