@@ -1,4 +1,4 @@
-"""The one exception a user is meant to read."""
+"""The exception a user is meant to read."""
 
 
 class CaphyError(Exception):
@@ -7,3 +7,7 @@ class CaphyError(Exception):
     The message says what must hold, what was got, where (file, frame, joint), and what to do. The command line
     prints it without a traceback and exits with status 2; the service answers it as a 4xx.
     """
+
+
+class Diverged(CaphyError):
+    """A simulation whose cloth flies apart under its physics."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
@@ -53,7 +54,7 @@ class Crew:
     def learn(self, scenes: Sequence[Scene], length: int) -> int:
         """Hand every process the scenes of a study; the number by which they know it."""
         self._studies += 1
-        given = [(s.measurement, s.garment, getattr(s.motion, "body", None)) for s in scenes]
+        given = [(s.measurement, s.garment, getattr(s.motion, "body", None), s.slides) for s in scenes]
         for each in self._each:
             each.submit(_learn, self._studies, given, length)
         return self._studies
@@ -103,8 +104,9 @@ def _begin(effect_files: Sequence[Path]) -> None:
         register_file(file)
 
 
-def _learn(study: int, given: Sequence[tuple[Measurement, Garment, BodyModel | None]], length: int) -> None:
-    _KNOWN[study] = watched([Scene.of(*each) for each in given], length)
+def _learn(study: int, given: Sequence[tuple[Measurement, Garment, BodyModel | None, bool]], length: int) -> None:
+    scenes = [replace(Scene.of(measured, garment, body), slides=slides) for measured, garment, body, slides in given]
+    _KNOWN[study] = watched(scenes, length)
 
 
 def _respond(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from caphy.effects.model import Model
-from caphy.errors import CaphyError
+from caphy.errors import CaphyError, Diverged
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH
@@ -319,10 +319,8 @@ def refined(
     step = best.step
     for _ in range(rounds):
         there = moved(best.model, best.columns, step)
-        tried = study.respond(there, best.columns, what)
-        found = _judged(best.origin, there, best.columns, tried, variance, weight, best.most, best.first)
-        gained = best.misfit - found.misfit
-        if gained > -_ROUGH * best.misfit:
+        found = _tried(study, best, there, variance, weight, what)
+        if found is not None and best.misfit - found.misfit > -_ROUGH * best.misfit:
             best, step = found, found.step
             if best.settled:
                 return replace(best, converged=True)
@@ -333,6 +331,23 @@ def refined(
         else:
             step = _SHORTER * step
     return best
+
+
+def _tried(
+    study: Study,
+    best: Fit,
+    there: Model,
+    variance: np.ndarray,
+    weight: np.ndarray,
+    what: str,
+    anew: Collection[str] = (),
+) -> Fit | None:
+    """A fit moved to another model, or none where cloth flies apart there."""
+    try:
+        responses = study.respond(there, best.columns, what, anew=anew)
+    except Diverged:
+        return None
+    return _judged(best.origin, there, best.columns, responses, variance, weight, best.most, best.first)
 
 
 def retold(
@@ -347,8 +362,10 @@ def retold(
         return best
     path, there, before = [best.change], best.model, best.by_mesh
     for _ in range(RETELLINGS):
-        told = study.respond(there, best.columns, what, anew={"solver"})
-        best = _judged(best.origin, there, best.columns, told, variance, weight, best.most, best.first)
+        told = _tried(study, best, there, variance, weight, what, {"solver"})
+        if told is None:
+            break
+        best = told
         if best.settled:
             best = replace(best, converged=True)
             break

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from caphy.effects.base import BodyState, Step
 from caphy.effects.potential import Potential
-from caphy.errors import CaphyError
+from caphy.errors import Diverged
 from caphy.solve.assembly import Hessian
 from caphy.solve.factorize import Factor
 
@@ -161,12 +161,12 @@ class Newton:
             damping: mass-proportional damping of the first iteration [1/s^2]; fades while steps succeed.
 
         Raises:
-            CaphyError: the guess or its energy is not finite.
+            Diverged: the guess or its energy is not finite.
         """
         planes = _Planes(body, guess)
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
-            raise CaphyError("the state to start from must be finite, with finite energy; check pose and garment")
+            raise Diverged("the state to start from must be finite, with finite energy; check pose and garment")
         level, leaps = 0, 0
         for iteration in range(self.max_iterations):
             renewals = (_STATIC_RENEWALS if step is None else _RENEWALS) if here.residual <= self.tolerance else 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,9 +34,10 @@ def test_a_crew_finds_what_one_process_does(scene, tmp_path, monkeypatch):
     write_scaffold("lift", file)
     registry.register_file(file)
     columns, told = (*addition("mass_damping"), *addition("lift")), []
-    alone = Study([scene, scene])
+    scenes = [scene, replace(scene, slides=True)]
+    alone = Study(scenes)
     with Crew([file], size=2) as crew:
-        shared = Study([scene, scene], progress=lambda *said: told.append(said), crew=crew)
+        shared = Study(scenes, progress=lambda *said: told.append(said), crew=crew)
         found = shared.respond(MODEL, columns, "trying", Probes(MODEL))
     wanted = alone.respond(MODEL, columns, "trying", Probes(MODEL))
     assert [(each.scene, each.start) for each in found] == [(each.scene, each.start) for each in wanted]
