@@ -20,6 +20,16 @@ def square(count: int = 9, side: float = 0.6) -> tuple[np.ndarray, np.ndarray, n
     return vertices, faces, flat
 
 
+def normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (T, V, 3) of a cloth at positions (T, V, 3), its faces weighted by area."""
+    corner = positions[:, faces]
+    area = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
+    total = np.zeros_like(positions)
+    for place in range(3):
+        np.add.at(total, (slice(None), faces[:, place]), area)
+    return total / np.linalg.norm(total, axis=-1, keepdims=True)
+
+
 def simulate(
     seconds: float = 2.0,
     fps: float = 30.0,

@@ -166,7 +166,7 @@ class Newton:
         planes = _Planes(body, guess)
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
-            raise Diverged("the state to start from must be finite, with finite energy; check pose and garment")
+            raise Diverged("the state to start from must be finite, with finite energy; check pose, garment and model")
         level, leaps = 0, 0
         for iteration in range(self.max_iterations):
             renewals = (_STATIC_RENEWALS if step is None else _RENEWALS) if here.residual <= self.tolerance else 0

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from explicit_cloth import simulate
+from explicit_cloth import normals, simulate
 
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -60,12 +60,7 @@ def test_clouds_become_vertices(film):
 def test_a_cloud_tells_where_cloth_is_across_itself_whatever_the_model_lacks():
     """A drag that the model lacks: across itself the cloth is known to a third of the noise, along itself it is not."""
     positions, keys = simulate(seconds=1.2, settle=2.0, drag=0.4)
-    corner = positions[:, keys["faces"]]
-    of_faces = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
-    normal = np.zeros_like(positions)
-    for place in range(3):
-        np.add.at(normal, (slice(None), keys["faces"][:, place]), of_faces)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal = normals(positions, keys["faces"])
     measured = seen(clouds(positions, keys["faces"], 1500, 1e-3), keys, noise_mm=1.0)
     found = {}
     for name, model in {"without": MODEL, "with": MODEL.with_effect("mass_damping", rate=2.0)}.items():

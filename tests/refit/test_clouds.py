@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from explicit_cloth import simulate
+from explicit_cloth import normals, simulate
 
 from caphy.effects.model import Model
 from caphy.io.measurements import Measurement
@@ -29,12 +29,7 @@ def film() -> tuple[np.ndarray, dict]:
 def response(film: tuple[np.ndarray, dict], slides: bool, along: float = 0.0, across: float = 0.0) -> Response:
     """The window at :data:`START`, of a film whose cloth is moved along and across itself after the window's start."""
     positions, keys = film
-    a, b, c = positions[:, keys["faces"]].transpose(2, 0, 1, 3)
-    faces = np.cross(b - a, c - a)
-    normal = np.zeros_like(positions)
-    for corner in range(3):
-        np.add.at(normal, (slice(None), keys["faces"][:, corner]), faces)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal = normals(positions, keys["faces"])
     sideways = np.cross(normal, [0.0, 1.0, 0.3])
     sideways /= np.linalg.norm(sideways, axis=-1, keepdims=True)
     moved = positions + along * sideways + across * normal
