@@ -55,6 +55,8 @@ class Learner(nn.Module):
         with torch.no_grad():
             self.head.weight.copy_(self._divided(network.head.weight))
             self.head.bias.copy_(self._divided(network.head.bias[:, None])[:, 0])
+        # A network that was read is in evaluation mode, in which cuDNN differentiates no recurrent layer.
+        self.train()
 
     def forward(self, features: Tensor, hidden: Tensor, last: bool = False) -> tuple[Tensor, Tensor]:
         """Canonical offsets (B, T, V, 3) [m] of features (B, T, D), and the hidden state (layers, B, width).

@@ -78,6 +78,15 @@ def test_trains_and_validates_from_the_command_line(tmp_path: Path) -> None:
     assert np.abs(stream[0] - stream[1]).max() < 1e-3
 
 
+def test_goes_on_from_a_trained_network(tmp_path: Path) -> None:
+    """What is read is in evaluation mode, in which cuDNN differentiates no recurrent layer."""
+    tube().save(tmp_path / "tube.npz")
+    write_poses(swaying(30, 0), tmp_path / "motion.npz")
+    words = ["train", str(tmp_path / "tube.npz"), str(tmp_path / "motion.npz"), "--device", "cuda", "--steps", "3"]
+    assert main([*words, "-o", str(tmp_path / "first")]) == 0
+    assert main([*words, "-o", str(tmp_path / "second"), "--init", str(tmp_path / "first")]) == 0
+
+
 def test_what_processes_agree_on_lies_on_the_cpu(tmp_path: Path) -> None:
     """Each process has a GPU of its own, and their clocks and flags are on the CPU: both backends are needed."""
     dist.init_process_group("cpu:gloo,cuda:nccl", init_method=f"file://{tmp_path}/meeting", rank=0, world_size=1)

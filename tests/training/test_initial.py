@@ -99,6 +99,14 @@ def test_the_learner_starts_as_the_network_is(make_trainer):
     torch.testing.assert_close(learner(features, hidden)[0], network.offsets(features, hidden)[0], rtol=1e-4, atol=1e-6)
 
 
+def test_what_was_read_can_be_trained_on_a_gpu(bundle, tmp_path):
+    """cuDNN differentiates recurrent layers in training mode alone; networks that were read are not in it."""
+    write_bundle(bundle, tmp_path / "avatar")
+    network = read_initial(tmp_path / "avatar", tube()).network
+    potential = Potential(snug_model(), Cloth.of(tube(), snug_model().density))
+    assert Learner(network.eval(), stiffness(potential, 30.0)).gru.training
+
+
 def test_training_meets_the_clock_of_its_clip(tmp_path):
     """Windows of the second clip are met as late as they are in it."""
     trainer = small_trainer(tmp_path)
