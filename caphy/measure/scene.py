@@ -36,8 +36,10 @@ class Scene:
         motion: the body, posed or as a mesh; none for cloth on pins alone.
         fixed: which vertices are pinned (V,), or none.
         pins: positions (P, 3) [m] of the pinned vertices at a time [s], or none.
-        slides: whether the measurement is of points that were registered with a model's help, which guessed where the
-            cloth lies along itself: only distances across it are measured.
+        ends: where the cloth was seen to end beside each of its boundary edges (T, E, 3) [m], in the order of
+            :class:`~caphy.measure.rim.Rim`, NaN where it was not; of points that were registered with a model's help.
+            It guessed where the cloth lies along itself: only distances across the cloth, and across its rim, are
+            measured.
     """
 
     measurement: Measurement
@@ -45,7 +47,7 @@ class Scene:
     motion: BodyMotion | MeshBody | None
     fixed: np.ndarray | None
     pins: Callable[[float], Tensor] | None
-    slides: bool = False
+    ends: np.ndarray | None = None
 
     @classmethod
     def of(cls, measurement: Measurement, garment: Garment | None = None, body: BodyModel | None = None) -> Scene:
@@ -89,6 +91,11 @@ class Scene:
         if isinstance(self.motion, MeshBody):
             return np.stack([self.motion.vertices(float(time)) for time in times])
         return self.motion.vertices(times)
+
+    @property
+    def slides(self) -> bool:
+        """Whether where the cloth lies along itself is not known."""
+        return self.ends is not None
 
     @property
     def regions(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 A filter in time: the state is advanced by one frame, then the cloth settles between where the model put it and the
 points, with its own elasticity, weight and contact in force. Points draw along the normal only, so that the cloth may
-slide under them; its rim is drawn sideways too.
+slide under them; its rim is drawn to where they end.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from caphy.effects.model import Model
 from caphy.effects.potential import Potential, Term
 from caphy.effects.vectors import dot, isotropic
 from caphy.errors import CaphyError
-from caphy.garment.topology import boundary_loops
 from caphy.measure.mesh_body import MeshBody
 from caphy.measure.noise import measurement_noise
+from caphy.measure.rim import Rim
 from caphy.measure.scene import Scene
 from caphy.solve.integrators import State
 from caphy.solve.newton import Newton
@@ -33,6 +33,8 @@ PULL = 12_000.0
 """Stiffness over mass of the springs to the points [1/s^2], as strong as those that start windows."""
 PRIOR = 900.0
 """The same towards where the model put the cloth: inertia over one frame at 30 frames per second."""
+RIM = 3_000.0
+"""The same from each end of a boundary edge to where the points end, which is known to a few millimetres."""
 FEWEST = 50
 """Points without which a frame counts as missing."""
 
@@ -46,10 +48,11 @@ Progress = Callable[[str, int, int], None]
 
 
 class DrawnToPoints(Effect):
-    """Springs to the points along the normal (at the rim in all directions), and to the predicted state.
+    """Springs to the points along the normal, at the rim to where they end across it, and to the predicted state.
 
-    E = pull/2 (n.(x - P))^2 + rim/2 |x - P|^2 + prior/2 |x - Q|^2 + push.x [J] per vertex, P where the points are, Q
-    the prediction; the push balances the cloth at Q. Not registered: it is no physics.
+    E = 1/2 x.G x - target.x + prior/2 |x - Q|^2 + push.x [J] per vertex, where G = sum k n n^T and target = sum
+    k n n.P of springs along unit vectors n to places P; Q is the prediction, and the push balances the cloth there. Not
+    registered: it is no physics.
     """
 
     name = "drawn_to_points"
@@ -57,22 +60,19 @@ class DrawnToPoints(Effect):
     reference = "Bouaziz, Tagliasacchi, Pauly, Sparse ICP, SGP 2013, section 2 (point to plane); Kalman 1960"
 
     def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
-        zeros = np.zeros((3, len(cloth.vertices)))
-        names = ("normal", "place", "predicted", "push")
-        return {**dict.fromkeys(("pull", "rim", "prior"), zeros[0]), **dict.fromkeys(names, zeros)}
+        zeros = np.zeros((3, 3, len(cloth.vertices)))
+        names = ("target", "predicted", "push")
+        return {"grip": zeros, "prior": zeros[0, 0], **dict.fromkeys(names, zeros[0])}
 
     def energy(self, e: Elements, p: Values) -> Tensor:
         (x,) = e.x
-        offset, away = x - e.rest["place"], x - e.rest["predicted"]
-        across = dot(e.rest["normal"], offset)
-        springs = e.rest["pull"] * across**2 + e.rest["rim"] * dot(offset, offset) + e.rest["prior"] * dot(away, away)
-        return 0.5 * springs + dot(e.rest["push"], x)
+        away = x - e.rest["predicted"]
+        gripped = (e.rest["grip"] * x[None]).sum(1)
+        return 0.5 * (dot(x, gripped) + e.rest["prior"] * dot(away, away)) + dot(e.rest["push"] - e.rest["target"], x)
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
         """Constant and positive semi-definite."""
-        normal = e.rest["normal"]
-        across = e.rest["pull"] * normal[:, None] * normal[None]
-        return isotropic(e.rest["rim"] + e.rest["prior"], e.x) + across.reshape(1, 3, 1, 3, -1)
+        return isotropic(e.rest["prior"], e.x) + e.rest["grip"].reshape(1, 3, 1, 3, -1)
 
     def projected_hessian(self, e: Elements, p: Values) -> Tensor:
         return self.hessian(e, p)
@@ -82,7 +82,8 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
     """A scene whose cloud has become vertices (T, V, 3) of the garment; one that is registered stays as it is.
 
     Vertices with no point near them count as not seen. What the tracker cannot see, sliding along itself, follows the
-    model, so that the scene :attr:`~caphy.measure.scene.Scene.slides`: it is compared across the cloth alone.
+    model, so that the scene :attr:`~caphy.measure.scene.Scene.slides`: it is compared across the cloth, and across its
+    rim, where it knows the :attr:`~caphy.measure.scene.Scene.ends` of the cloud.
 
     Raises:
         CaphyError: fewer than two frames hold enough points, or the first ones are far from any cloth.
@@ -90,7 +91,7 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
     if scene.measurement.vertices is not None:
         return scene
     tracker = _Tracker(scene, model)
-    vertices, visible = tracker.run(progress)
+    vertices, visible, ends = tracker.run(progress)
     noise = measurement_noise(scene.measurement)
     measurement = replace(
         scene.measurement,
@@ -102,7 +103,7 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
         noise_mm=None if noise is None else 1e3 * noise.sigma,
         notes=(*scene.measurement.notes, "registered with the model's help"),
     )
-    return replace(scene, measurement=measurement, slides=True)
+    return replace(scene, measurement=measurement, ends=ends)
 
 
 class _Tracker:
@@ -121,14 +122,13 @@ class _Tracker:
             pins=scene.pins,
         )
         noise = measurement_noise(self.measurement)
-        self.reach = _FAR + 5 * (0.0 if noise is None else noise.sigma)
+        self.noise = 0.0 if noise is None else noise.sigma
+        self.reach = _FAR + 5 * self.noise
         self.faces, self.mass = scene.garment.faces, self.potential.cloth.mass
-        self.rim = np.zeros(len(self.mass), bool)
-        for loop in boundary_loops(self.faces):
-            self.rim[loop] = True
+        self.rim = Rim.of(scene.garment.vertices, self.faces)
 
-    def run(self, progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (T, V, 3) [m] and which of them were seen (T, V)."""
+    def run(self, progress: Progress | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices (T, V, 3) [m], which of them were seen (T, V), and where the cloth ends (T, E, 3) [m]."""
         fps, count = self.measurement.fps, len(self.measurement)
         clouds = [self.measurement.cloud(frame) for frame in range(count)]
         enough = [len(cloud) >= FEWEST for cloud in clouds]
@@ -138,29 +138,31 @@ class _Tracker:
                 f"{where}: at least two frames must hold {FEWEST} points or more, {sum(enough)} of {count} do"
             )
         vertices, visible = np.full((count, len(self.mass), 3), np.nan), np.zeros((count, len(self.mass)), bool)
+        ends = np.full((count, len(self.rim.edges), 3), np.nan)
         first = enough.index(True)
-        x, near = self._first(clouds[first], first / fps)
-        vertices[first], visible[first] = x.numpy(), near
+        x, visible[first], ends[first] = self._first(clouds[first], first / fps)
+        vertices[first] = x.numpy()
         state = State(first / fps, x, torch.zeros_like(x))
         for frame in range(first + 1, count):
             state, _ = self.simulator.advance(state, 1 / fps, _SUBSTEPS)
             vertices[frame] = state.x.numpy()
             if enough[frame]:
-                x, visible[frame] = self._settled(state.x, clouds[frame], frame / fps, PRIOR, _ROUNDS)
+                x, visible[frame], ends[frame] = self._settled(state.x, clouds[frame], frame / fps, PRIOR, _ROUNDS)
                 state = State(state.time, x, state.v + _TRUSTED * fps * (x - state.x))
                 vertices[frame] = x.numpy()
             if progress is not None:
                 progress("registering", frame + 1, count)
-        return vertices, visible
+        return vertices, visible, ends
 
-    def _first(self, cloud: np.ndarray, time: float) -> tuple[Tensor, np.ndarray]:
+    def _first(self, cloud: np.ndarray, time: float) -> tuple[Tensor, np.ndarray, np.ndarray]:
         """The cloth in the first frame: from where it is worn, or laid into the cloud by its pins and middle."""
         motion = self.scene.motion
         if motion is not None and not isinstance(motion, MeshBody):
             place = motion.anchors(np.array([time]))[0]
         else:
             place = self._laid(cloud, time)
-        x, near = self._settled(torch.from_numpy(place), cloud, time, 0.0, _FIRST_ROUNDS, reach=np.inf)
+        found = self._settled(torch.from_numpy(place), cloud, time, 0.0, _FIRST_ROUNDS, reach=np.inf)
+        x = found[0]
         gap = np.abs(nearest_on_surface(cloud, x.numpy(), self.faces).distance)
         if np.median(gap) > _FAR:
             where = self.measurement.source or self.measurement.name
@@ -168,7 +170,7 @@ class _Tracker:
                 f"{where}: the cloth must be near the first cloud; half of its points are farther than "
                 f"{1e3 * np.median(gap):.0f} mm; check units, axes and pins"
             )
-        return x, near
+        return found
 
     def _laid(self, cloud: np.ndarray, time: float) -> np.ndarray:
         rest, ends = self.scene.garment.vertices, [cloud.mean(0)]
@@ -184,8 +186,8 @@ class _Tracker:
 
     def _settled(
         self, x: Tensor, cloud: np.ndarray, time: float, prior: float, rounds: int, reach: float | None = None
-    ) -> tuple[Tensor, np.ndarray]:
-        """The cloth between prediction and points, and which vertices had points near them."""
+    ) -> tuple[Tensor, np.ndarray, np.ndarray]:
+        """The cloth between prediction and points, which vertices had points near them, and where the cloth ends."""
         rest, motion = self.drawn.terms[DrawnToPoints.name].rest, self.scene.motion
         body = None if motion is None else lambda at: motion.state(time, at.numpy(), 1 / self.measurement.fps)
         push = torch.zeros_like(x)
@@ -193,21 +195,36 @@ class _Tracker:
             push = -self.potential.gradient(x, None, None if body is None else body(x))[1]
         rest["prior"] = torch.from_numpy(prior * self.mass)
         rest["predicted"], rest["push"] = x.T.contiguous(), push.T.contiguous()
-        near = np.zeros(len(x), bool)
+        reach = self.reach if reach is None else reach
         x = x.clone()
         if self.scene.pins is not None and self.scene.fixed is not None:
             x[torch.from_numpy(np.flatnonzero(self.scene.fixed))] = self.scene.pins(time)
         for _ in range(rounds):
-            place, share, normal = self._matched(x.numpy(), cloud, self.reach if reach is None else reach)
-            near = share > 0
-            pull = PULL * self.mass * np.minimum(share, 1)
-            rest["pull"], rest["rim"] = torch.from_numpy(pull), torch.from_numpy(pull * self.rim)
-            rest["normal"], rest["place"] = (torch.from_numpy(np.ascontiguousarray(a.T)) for a in (normal, place))
+            place, share, normal, ends = self._matched(x.numpy(), cloud, reach)
+            grip, target = _springs(PULL * self.mass * np.minimum(share, 1), normal, place)
+            at_rim = self._rim_springs(x.numpy(), ends)
+            rest["grip"] = torch.from_numpy(np.ascontiguousarray(np.moveaxis(grip + at_rim[0], 0, -1)))
+            rest["target"] = torch.from_numpy(np.ascontiguousarray((target + at_rim[1]).T))
             x = self.newton.minimise(x, None, body)[0]
-        return x, near
+        _, share, _, ends = self._matched(x.numpy(), cloud, reach)
+        return x, share > 0, ends
 
-    def _matched(self, x: np.ndarray, cloud: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where points draw each vertex (V, 3) [m], how many share it over the mean (V,), and normals (V, 3)."""
+    def _rim_springs(self, x: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As :func:`_springs`, of each boundary edge on its two vertices."""
+        _, _, out = self.rim.frames(x)
+        known = np.isfinite(ends).all(1)
+        grip, target = np.zeros((len(x), 3, 3)), np.zeros((len(x), 3))
+        for vertex in self.rim.edges[known].T:  # a vertex starts one edge and ends another: none occurs twice
+            springs = _springs(RIM * self.mass[vertex], out[known], ends[known])
+            grip[vertex] += springs[0]
+            target[vertex] += springs[1]
+        return grip, target
+
+    def _matched(
+        self, x: np.ndarray, cloud: np.ndarray, reach: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where points draw each vertex (V, 3) [m], how many share it over the mean (V,), normals (V, 3), and where
+        the cloth ends beside each boundary edge (E, 3) [m]."""
         found = nearest_on_surface(cloud, x, self.faces)
         kept = np.abs(found.distance) < reach
         corners, weight = self.faces[found.face[kept]], np.asarray(found.barycentric)[kept]
@@ -221,4 +238,11 @@ class _Tracker:
         normal = np.stack([np.bincount(self.faces.ravel(), np.repeat(area[:, i], 3), len(x)) for i in range(3)], 1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         expected = len(cloud) * self.potential.cloth.vertex_area / self.potential.cloth.vertex_area.sum()
-        return x + drawn, total / np.maximum(expected, 1e-9), normal
+        ends = self.rim.ends(x, cloud[kept], found.face[kept], self.noise)
+        return x + drawn, total / np.maximum(expected, 1e-9), normal, ends
+
+
+def _springs(stiffness: np.ndarray, along: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices (N, 3, 3) [N/m] and targets (N, 3) [N] of springs (N,) along unit vectors (N, 3) to places (N, 3)."""
+    matrix = (stiffness[:, None] * along)[:, :, None] * along[:, None]
+    return matrix, np.einsum("nij,nj->ni", matrix, place)

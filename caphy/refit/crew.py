@@ -10,6 +10,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
+
 from caphy.body.model import BodyModel
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -54,7 +56,7 @@ class Crew:
     def learn(self, scenes: Sequence[Scene], length: int) -> int:
         """Hand every process the scenes of a study; the number by which they know it."""
         self._studies += 1
-        given = [(s.measurement, s.garment, getattr(s.motion, "body", None), s.slides) for s in scenes]
+        given = [(s.measurement, s.garment, getattr(s.motion, "body", None), s.ends) for s in scenes]
         for each in self._each:
             each.submit(_learn, self._studies, given, length)
         return self._studies
@@ -104,8 +106,10 @@ def _begin(effect_files: Sequence[Path]) -> None:
         register_file(file)
 
 
-def _learn(study: int, given: Sequence[tuple[Measurement, Garment, BodyModel | None, bool]], length: int) -> None:
-    scenes = [replace(Scene.of(measured, garment, body), slides=slides) for measured, garment, body, slides in given]
+def _learn(
+    study: int, given: Sequence[tuple[Measurement, Garment, BodyModel | None, np.ndarray | None]], length: int
+) -> None:
+    scenes = [replace(Scene.of(measured, garment, body), ends=ends) for measured, garment, body, ends in given]
     _KNOWN[study] = watched(scenes, length)
 
 

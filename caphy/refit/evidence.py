@@ -15,7 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from caphy.errors import CaphyError
 from caphy.refit.responses import Response
+
+KINDS = (
+    "registered measurements and point clouds must not be mixed, base and held-out ones included: what noise does is "
+    "learned from some and expected in others; give clouds alone, or registered vertices alone"
+)
+"""What is said where they are."""
 
 _ROUNDS = 4
 _LEAST = (2e-5) ** 2  # of a mode's variance [m^2]: far below what any scanner resolves
@@ -74,7 +81,12 @@ def _form(response: Response, variance: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def whitened(response: Response, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Residual (n,), columns (n, K) and nuisances (n, N) in the frames that were seen, by the standard deviation."""
+    """Residual (n,), columns (n, K) and nuisances (n, N) in the frames that were seen, by the standard deviation.
+
+    Raises :class:`CaphyError` where variances are of measurements of the other kind.
+    """
+    if variance.shape[1] != response.residual.shape[1]:
+        raise CaphyError(KINDS)
     scale = 1 / np.sqrt(variance[response.seen])[:, :, None]
     e = (response.residual[response.seen] * scale).reshape(-1)
     s, n = (

@@ -9,9 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from caphy.effects.cloth import Cloth
+from caphy.measure.rim import Rim
 
 COUNT = 60
 """Modes in which residuals are compared; the evidence for 60 is on cloths of 300 to 1,200 vertices."""
+RIM_ORDER = 7
+"""Waves around a boundary loop in which it is compared where clouds end; four of them make a square's sides."""
 
 
 def laplacian_modes(cloth: Cloth, count: int = COUNT) -> np.ndarray:
@@ -48,6 +51,27 @@ def _stiffness(cloth: Cloth):
     count = len(cloth.vertices)
     where = (np.concatenate(rows), np.concatenate(columns))
     return coo_array((np.concatenate(entries), where), (count, count)).tocsc()
+
+
+def rim_modes(rim: Rim, order: int = RIM_ORDER) -> np.ndarray:
+    """The smoothest functions on boundary edges (E, R), on one loop each, of mean square 1 over all of the rim.
+
+    A constant, cosines and sines of the arc length around each loop up to an order, fewer where a loop has few edges;
+    R is a multiple of 3, and so is each loop's share.
+    """
+    found, weight = [np.zeros((len(rim.edges), 0))], rim.length / rim.length.sum()
+    for loop in np.unique(rim.loop):
+        on, length = rim.loop == loop, rim.length[rim.loop == loop]
+        angle = 2 * np.pi * (np.cumsum(length) - length / 2) / length.sum()
+        count = 3 * max(min(2 * order + 1, int(on.sum()) // 2) // 3, 1)
+        waves = [np.ones_like(angle)]
+        for wave in range(1, order + 1):
+            waves += [np.cos(wave * angle), np.sin(wave * angle)]
+        modes = np.zeros((len(on), count))
+        root = np.sqrt(weight[on])[:, None]
+        modes[on] = np.linalg.qr(root * np.stack(waves[:count], 1))[0] / root
+        found.append(modes)
+    return np.concatenate(found, axis=1)
 
 
 class Projection:

@@ -15,10 +15,11 @@ from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 from caphy.measure.finer import FinerMesh
 from caphy.measure.noise import measurement_noise
+from caphy.measure.rim import Rim
 from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, roll_out, window_starts
 from caphy.refit.columns import Column, extended, moved
-from caphy.refit.modes import Projection, laplacian_modes
+from caphy.refit.modes import Projection, laplacian_modes, rim_modes
 from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
 from caphy.report.render import vertex_normals
 from caphy.solve.integrators import SDIRK2, State
@@ -44,7 +45,10 @@ _ALLOWED = 1.4  # times what noise alone does
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """One window in the span of M smooth modes; L frames after its start.
+    """One window in the span of smooth modes; L frames after its start.
+
+    M counts the modes of the cloth. Where it was registered from clouds, R numbers of its rim follow, three by three:
+    how far out of the cloth it ends, in the modes of its boundary loops; M is then larger by R / 3.
 
     Attributes:
         scene, start: which measurement, and the frame it starts at.
@@ -95,6 +99,15 @@ class Watched:
         """Onto the modes of the scene's cloth."""
         cloth = self.scene.potential(Model(1.0)).cloth
         return Projection(laplacian_modes(cloth), cloth.vertex_area)
+
+    @cached_property
+    def rim(self) -> Rim:
+        """The cloth's boundary edges."""
+        return Rim.of(self.scene.garment.vertices, self.scene.garment.faces)
+
+    @cached_property
+    def _rim_projection(self) -> Projection:
+        return Projection(rim_modes(self.rim), self.rim.length)
 
     def starts(self) -> list[int]:
         """Frames at which whole windows can start."""
@@ -215,7 +228,8 @@ class Watched:
         seen = measurement.observed[frames]
         fields = np.concatenate([away[:, None], self._solver[frame], moved], axis=1)  # (L, 3 + K + N, V, 3)
         shape = (self.projection.modes.shape[1], 3, fields.shape[1])
-        if self.scene.slides:
+        at_rim = self._at_rim(frames, run.positions[1:], fields) if self.scene.slides else None
+        if at_rim is not None:
             fields = _across(fields, run.positions[1:], self.scene.garment.faces)
             away = fields[:, 0]
         enough = seen.mean(axis=1) >= ENOUGH
@@ -225,6 +239,8 @@ class Watched:
                 for f, s, good in zip(fields, seen, enough, strict=True)
             ]
         )
+        if at_rim is not None:
+            modal = np.concatenate([modal, at_rim], axis=1)
         error = np.where(seen, np.linalg.norm(away, axis=-1), np.nan)
         last = modal.shape[-1] - starts
         if starts:
@@ -233,6 +249,16 @@ class Watched:
         return Response(
             self.number, frame, modal[..., 0], enough, modal[..., 3:last], nuisance, error, run.converged[1:]
         )
+
+    def _at_rim(self, frames: np.ndarray, positions: np.ndarray, fields: np.ndarray) -> np.ndarray:
+        """What fields (L, N, V, 3) [m], the first of which is the residual, do across the rim of a cloth at positions
+        (L, V, 3) [m], in its modes (L, R / 3, 3, N) [m]; the residual is to where clouds end."""
+        assert self.scene.ends is not None
+        middle, _, out = self.rim.frames(positions)
+        across = (fields[:, :, self.rim.edges].mean(axis=3) * out[:, None]).sum(-1)  # (L, N, E)
+        across[:, 0] = ((self.scene.ends[frames] - middle) * out).sum(-1)
+        modal = [self._rim_projection.of(f.T, np.isfinite(f[0])) for f in across]
+        return np.stack(modal).reshape(len(fields), -1, 3, fields.shape[1])
 
 
 def _across(fields: np.ndarray, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from caphy.measure.scene import Scene
 from caphy.measure.windows import LENGTH
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.crew import Crew, Place
-from caphy.refit.evidence import Evidence, bounded, estimated_variance, evidence, tamed
+from caphy.refit.evidence import KINDS, Evidence, bounded, estimated_variance, evidence, tamed
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
 
@@ -60,8 +60,10 @@ class Study:
         """``crew`` rolls windows out, this process does unless given. ``mesh`` is how much of the mesh's error is in
         all windows, where that is known; it is free in each unless given.
 
-        Raises :class:`CaphyError` where there are too few windows.
+        Raises :class:`CaphyError` where there are too few windows, or some scenes were registered from clouds alone.
         """
+        if len({scene.slides for scene in scenes}) > 1:
+            raise CaphyError(KINDS)
         self.scenes, self.length, self.progress, self.crew = tuple(scenes), length, progress, crew
         self.mesh = mesh
         self.watched = watched(scenes, length)

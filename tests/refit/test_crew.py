@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ def test_a_crew_finds_what_one_process_does(scene, tmp_path, monkeypatch):
     write_scaffold("lift", file)
     registry.register_file(file)
     columns, told = (*addition("mass_damping"), *addition("lift")), []
-    scenes = [scene, replace(scene, slides=True)]
+    scenes = [scene, scene]
     alone = Study(scenes)
     with Crew([file], size=2) as crew:
         shared = Study(scenes, progress=lambda *said: told.append(said), crew=crew)
