@@ -33,8 +33,8 @@ PULL = 12_000.0
 """Stiffness over mass of the springs to the points [1/s^2], as strong as those that start windows."""
 PRIOR = 900.0
 """The same towards where the model put the cloth: inertia over one frame at 30 frames per second."""
-RIM = 3_000.0
-"""The same from each end of a boundary edge to where the points end, which is known to a few millimetres."""
+RIM = 1_000.0
+"""The same from each end of a boundary edge to where the points end; more buckles cloth whose model is too large."""
 FEWEST = 50
 """Points without which a frame counts as missing."""
 

@@ -148,7 +148,8 @@ def _middle(ratio: np.ndarray, weight: np.ndarray) -> float:
 
 
 def _left(responses: Sequence[Response], variance: np.ndarray, ridge: float) -> np.ndarray:
-    """Squares (W, L, M) of what is left with everything fitted, corrected for the freedom of the fit; NaN unseen."""
+    """Squares (W, L, M) of what is left with everything fitted, corrected for the freedom of the fit; NaN unseen, as
+    loops are of which nothing is known: their residual is zero."""
     known = evidence(responses, variance)
     known = replace(known, weight=robust_weights(known, ridge))
     change = ridged(*known.normal, ridge)
@@ -158,7 +159,7 @@ def _left(responses: Sequence[Response], variance: np.ndarray, ridge: float) -> 
         solved = np.linalg.solve(np.eye(n.shape[1]) + n.T @ n, n.T)
         free = np.clip(1 - np.einsum("ij,ji->i", n, solved), 0.05, 1)
         square = ((e - n @ (solved @ e)) ** 2 / free).reshape(response.residual.shape).mean(-1) * variance
-        squares.append(np.where(response.seen[:, None], square, np.nan))
+        squares.append(np.where(response.seen[:, None] & response.residual.any(axis=-1), square, np.nan))
     return np.stack(squares)
 
 
@@ -172,8 +173,12 @@ def _whitened(response: Response, variance: np.ndarray, change: np.ndarray) -> t
 
 def _separable(square: np.ndarray) -> np.ndarray:
     """Medians over windows of squares (W, L, M) as a product of a factor per lag and one per mode, (L, M)."""
-    middle = np.log(np.nanmedian(square, axis=0) / 0.79)  # the median of chi-square with 3 degrees over its mean
-    middle = np.where(np.isfinite(middle), middle, np.nanmean(middle[np.isfinite(middle)]))
+    known, middle = np.isfinite(square).any(axis=0), np.zeros(square.shape[1:])
+    if not known.any():
+        return middle
+    usual = np.nanmedian(square[:, known], axis=0) / 0.79  # the median of chi-square with 3 degrees over its mean
+    middle[known] = np.log(np.maximum(usual, 1e-300))
+    middle[~known] = middle[known].mean()
     grand = middle.mean()
     return np.exp(middle.mean(1, keepdims=True) + middle.mean(0, keepdims=True) - grand)
 

@@ -6,6 +6,8 @@ responses in the span of a few dozen smooth fields.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from caphy.effects.cloth import Cloth
@@ -88,7 +90,7 @@ class Projection:
         residuals and responses alike it hides nothing but what was not seen.
         """
         modes, weight = self.modes[seen], self._weight[seen, None]
-        right = (modes * weight).T @ fields[seen].reshape(int(seen.sum()), -1)
+        right = (modes * weight).T @ fields[seen].reshape(int(seen.sum()), math.prod(fields.shape[1:]))
         if not seen.all():
             normal = (modes * weight).T @ modes
             right = np.linalg.solve(normal + 1e-4 * np.eye(len(normal)), right)

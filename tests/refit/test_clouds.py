@@ -9,9 +9,14 @@ import pytest
 from explicit_cloth import normals, simulate
 
 from caphy.effects.model import Model
+from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
 from caphy.measure.noise import MEDIAN_NORM, MEDIAN_ONE
+from caphy.measure.rim import Rim
 from caphy.measure.scene import Scene
+from caphy.refit.columns import addition
+from caphy.refit.evidence import estimated_variance, whitened
+from caphy.refit.modes import COUNT
 from caphy.refit.responses import Response, Watched
 from caphy.refit.study import Study
 
@@ -26,16 +31,21 @@ def film() -> tuple[np.ndarray, dict]:
     return simulate(seconds=1.2, settle=2.0)
 
 
-def response(film: tuple[np.ndarray, dict], slides: bool, along: float = 0.0, across: float = 0.0) -> Response:
-    """The window at :data:`START`, of a film whose cloth is moved along and across itself after the window's start."""
+def response(
+    film: tuple[np.ndarray, dict], slides: bool, along: float = 0.0, across: float = 0.0, out: float = 0.0
+) -> Response:
+    """The window at :data:`START`, of a film whose cloth is moved along and across itself after the window's start, and
+    ends farther ``out``."""
     positions, keys = film
     normal = normals(positions, keys["faces"])
     sideways = np.cross(normal, [0.0, 1.0, 0.3])
     sideways /= np.linalg.norm(sideways, axis=-1, keepdims=True)
     moved = positions + along * sideways + across * normal
     moved[: START + 3] = positions[: START + 3]  # which the start is read from
-    scene = replace(Scene.of(Measurement(name="film", fps=30, vertices=moved, **keys)), slides=slides)
-    return next(Watched(scene).respond(MODEL, (), [START]))
+    middle, _, outward = Rim.of(keys["rest_vertices"], keys["faces"]).frames(positions)
+    ends = middle + out * outward if slides else None
+    scene = replace(Scene.of(Measurement(name="film", fps=30, vertices=moved, **keys)), ends=ends)
+    return next(Watched(scene).respond(MODEL, addition("shrinkage"), [START]))
 
 
 def test_what_lies_along_the_cloth_counts_where_it_was_measured_alone(film):
@@ -52,8 +62,72 @@ def test_what_lies_along_the_cloth_counts_where_it_was_measured_alone(film):
     assert np.nanmedian(known.error) < np.nanmedian(plain.error)
 
 
+def unknown(film: tuple[np.ndarray, dict]) -> np.ndarray:
+    positions, keys = film
+    return np.full((len(positions), len(Rim.of(keys["rest_vertices"], keys["faces"]).edges), 3), np.nan)
+
+
+def test_where_cloth_ends_counts(film):
+    """A cloud that ends 3 mm farther out all round moves the rim's constant by that, and nothing of the cloth."""
+    before, after = response(film, True), response(film, True, out=MOVED)
+    moved = after.residual - before.residual
+    assert np.abs(moved[:, :COUNT]).max() < 1e-12
+    assert np.sqrt((moved[:, COUNT:] ** 2).sum((1, 2))) == pytest.approx(MOVED, rel=1e-3)  # modes are orthonormal
+    assert np.abs(moved[:, COUNT, 0]) == pytest.approx(MOVED, rel=1e-3)
+
+
+def test_the_rim_answers_to_what_shortens_cloth(film):
+    """By far more than the cloth does across itself, and as roll-outs do."""
+    positions, keys = film
+    told = response(film, True)
+    scene = replace(Scene.of(Measurement(name="film", fps=30, vertices=positions, **keys)), ends=unknown(film))
+    assert not next(Watched(scene).respond(MODEL, (), [START])).residual[:, COUNT:].any()  # what is not known
+    shorter = MODEL.with_effect("shrinkage", fraction=1e-4)
+    ends = Rim.of(keys["rest_vertices"], keys["faces"]).frames(positions)[0]
+    other = next(Watched(replace(scene, ends=ends)).respond(shorter, (), [START]))
+    by_rolling = (told.residual - other.residual) / 1e-4
+    late, rim = slice(3, None), slice(COUNT, None)
+    assert told.columns[late, rim, :, 0] == pytest.approx(by_rolling[late, rim], abs=0.03 * np.abs(by_rolling).max())
+    assert np.abs(told.columns[late, rim]).max() > 0.05  # 0.6 m of cloth
+
+
+def test_what_is_not_known_of_a_rim_makes_it_no_surer(film):
+    """Two windows of three do not see the rim; it stays as uncertain as the third one says, and so if none sees it."""
+    random, one = np.random.default_rng(0), response(film, True)
+    noise = random.normal(0, 1e-3, (3, *one.residual.shape))
+    noise[:, :, COUNT:] *= 3
+    seeing = [replace(one, residual=each, columns=one.columns[..., :0]) for each in noise]
+    blind = [replace(each, residual=each.residual * (np.arange(COUNT + 5) < COUNT)[:, None]) for each in seeing]
+    full = estimated_variance(seeing, 0.0)[:, COUNT:].mean()
+    some = estimated_variance([seeing[0], *blind[1:]], 0.0)[:, COUNT:].mean()
+    assert 0.6 * full < some < 1.6 * full
+    assert np.isfinite(estimated_variance(blind, 0.0)).all()
+
+
+def test_a_loop_of_which_little_is_known_says_nothing(film):
+    positions, keys = film
+    rim = Rim.of(keys["rest_vertices"], keys["faces"])
+    ends = rim.frames(positions)[0]
+    scene = Scene.of(Measurement(name="film", fps=30, vertices=positions, **keys))
+    for known, says in ((12, False), (20, True)):
+        partly = np.where((np.arange(32) < known)[:, None], ends, np.nan)
+        told = next(Watched(replace(scene, ends=partly)).respond(MODEL, (), [START]))
+        assert told.residual[:, COUNT:].any() == says
+
+
+def test_clouds_and_registered_measurements_are_not_mixed(film):
+    positions, keys = film
+    scene = Scene.of(Measurement(name="film", fps=30, vertices=positions, **keys))
+    cloud = replace(scene, ends=unknown(film))
+    with pytest.raises(CaphyError, match="must not be mixed"):
+        Study([scene, cloud])
+    told = next(Watched(cloud).respond(MODEL, (), [START]))
+    with pytest.raises(CaphyError, match="must not be mixed"):
+        whitened(told, np.ones((len(told.residual), COUNT)))
+
+
 def test_noise_explains_less_where_only_distances_across_count(film):
     positions, keys = film
     scene = Scene.of(Measurement(name="film", fps=30, vertices=positions, noise_mm=2.0, **keys))
     assert Study([scene]).floors_mm == pytest.approx([2 * MEDIAN_NORM])
-    assert Study([replace(scene, slides=True)]).floors_mm == pytest.approx([2 * MEDIAN_ONE])
+    assert Study([replace(scene, ends=unknown(film))]).floors_mm == pytest.approx([2 * MEDIAN_ONE])
