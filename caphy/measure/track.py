@@ -2,7 +2,8 @@
 
 A filter in time: the state is advanced by one frame, then the cloth settles between where the model put it and the
 points, with its own elasticity, weight and contact in force. Points draw along the normal only, so that the cloth may
-slide under them; its rim is drawn to where they end.
+slide under them; its rim is drawn to where they end. Cloth whose points end elsewhere is registered again, in the size
+that they ask for: cloth that is too large for its points buckles between them.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from torch import Tensor
 
 from caphy.body.surface import nearest_on_surface
 from caphy.effects.base import Effect, Elements, Values
+from caphy.effects.candidates import switched_off
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential, Term
+from caphy.effects.registry import find_effect
 from caphy.effects.vectors import dot, isotropic
 from caphy.errors import CaphyError
 from caphy.measure.mesh_body import MeshBody
@@ -26,7 +29,7 @@ from caphy.measure.noise import measurement_noise
 from caphy.measure.rim import Rim
 from caphy.measure.scene import Scene
 from caphy.solve.integrators import State
-from caphy.solve.newton import Newton
+from caphy.solve.newton import Body, Newton
 from caphy.solve.rollout import Simulator
 
 PULL = 12_000.0
@@ -42,6 +45,10 @@ _ROUNDS, _FIRST_ROUNDS = 6, 40  # of nearest points, in each frame and in the fi
 _TRUSTED = 0.5  # share of a correction that velocities take over
 _FAR = 0.03  # metres: points farther from the cloth than this and five times the noise belong to something else
 _SUBSTEPS = 2
+_SIZE, _WAYS = "shrinkage_directional", ("weft", "warp")
+_SAME = 4e-3  # of lengths: sizes that do not differ
+_SIZINGS = 4  # registrations at most
+_LOOSE = 1.0  # of the prior [1/s^2] where a size is asked for: what keeps cloth still that nothing else does
 _TOLERANCE = 2e-4  # of the solver [N]
 
 Progress = Callable[[str, int, int], None]
@@ -90,8 +97,15 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
     """
     if scene.measurement.vertices is not None:
         return scene
-    tracker = _Tracker(scene, model)
-    vertices, visible, ends = tracker.run(progress)
+    sized = model
+    for _ in range(_SIZINGS):
+        tracker = _Tracker(scene, sized)
+        vertices, visible, ends = tracker.run(progress)
+        change = tracker.size()
+        if np.abs(change).max(initial=0.0) < _SAME:
+            break
+        known = sized.effects.get(_SIZE) or switched_off(_SIZE)
+        sized = sized.with_effect(_SIZE, **{way: known[way] + by for way, by in zip(_WAYS, change, strict=True)})
     noise = measurement_noise(scene.measurement)
     measurement = replace(
         scene.measurement,
@@ -126,6 +140,11 @@ class _Tracker:
         self.reach = _FAR + 5 * self.noise
         self.faces, self.mass = scene.garment.faces, self.potential.cloth.mass
         self.rim = Rim.of(scene.garment.vertices, self.faces)
+        self.sized: Potential | None = None
+        if find_effect(_SIZE).lenders(model.effects) is not None:
+            there = _SIZE in model.effects
+            self.sized = scene.potential(model if there else model.with_effect(_SIZE, **switched_off(_SIZE)))
+        self.sizes: list[np.ndarray] = []
 
     def run(self, progress: Progress | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices (T, V, 3) [m], which of them were seen (T, V), and where the cloth ends (T, E, 3) [m]."""
@@ -207,7 +226,31 @@ class _Tracker:
             rest["target"] = torch.from_numpy(np.ascontiguousarray((target + at_rim[1]).T))
             x = self.newton.minimise(x, None, body)[0]
         _, share, _, ends = self._matched(x.numpy(), cloud, reach)
+        rest["prior"] = torch.from_numpy(_LOOSE * self.mass)
+        self._ask_size(x, ends, body)
         return x, share > 0, ends
+
+    def _ask_size(self, x: Tensor, ends: np.ndarray, body: Body | None) -> None:
+        """Note by how much smaller the cloth must be to end where the points do, other forces as they are."""
+        known = np.isfinite(ends).all(1)
+        if self.sized is None or known.sum() < 2 * len(_WAYS):
+            return
+        found = self.sized.parameter_gradients(
+            x, None, None if body is None else body(x), {f"{_SIZE}.{way}" for way in _WAYS}
+        )
+        force = torch.stack([found[f"{_SIZE}.{way}"] for way in _WAYS], -1).numpy()  # (V, 3, 2)
+        if self.scene.fixed is not None:
+            force[self.scene.fixed] = 0
+        moved = -self.newton.factorize(x, None, body).solve(force)
+        middle, _, out = self.rim.frames(x.numpy())
+        shift = np.einsum("ec,eck->ek", out, moved[self.rim.edges].mean(1))[known]
+        short = ((ends - middle) * out).sum(1)[known]
+        self.sizes.append(np.linalg.solve(shift.T @ shift + 1e-9 * np.eye(len(_WAYS)), shift.T @ short))
+
+    def size(self) -> np.ndarray:
+        """The shares of lengths along weft and warp by which the cloth is smaller than the model has it; medians over
+        frames."""
+        return np.median(self.sizes, axis=0) if self.sizes else np.zeros(len(_WAYS))
 
     def _rim_springs(self, x: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As :func:`_springs`, of each boundary edge on its two vertices."""
