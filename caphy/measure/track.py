@@ -97,15 +97,16 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
     """
     if scene.measurement.vertices is not None:
         return scene
-    sized = model
-    for _ in range(_SIZINGS):
-        tracker = _Tracker(scene, sized)
-        vertices, visible, ends = tracker.run(progress)
+    tracker = _Tracker(scene, model)
+    vertices, visible, ends = tracker.run(progress)
+    for _ in range(_SIZINGS - 1):
         change = tracker.size()
-        if np.abs(change).max(initial=0.0) < _SAME:
+        if np.abs(change).max() < _SAME:
             break
-        known = sized.effects.get(_SIZE) or switched_off(_SIZE)
-        sized = sized.with_effect(_SIZE, **{way: known[way] + by for way, by in zip(_WAYS, change, strict=True)})
+        known = model.effects.get(_SIZE) or switched_off(_SIZE)
+        model = model.with_effect(_SIZE, **{way: known[way] + by for way, by in zip(_WAYS, change, strict=True)})
+        tracker = _Tracker(scene, model)
+        vertices, visible, ends = tracker.run(progress)
     noise = measurement_noise(scene.measurement)
     measurement = replace(
         scene.measurement,
