@@ -24,7 +24,7 @@ import tyro
 
 from benchmarks._newton_cloth import FPS, Fabric, Force, NewtonCloth, Skin, Surface, accelerated, air, nothing, pressed
 from caphy.challenge.dressed import WORN, tshirt
-from caphy.challenge.recording import seen_by_user
+from caphy.challenge.recording import mesh_digest, seen_by_user
 from caphy.challenge.sheets import corners, users_square
 from caphy.challenge.square import APART, MODEL
 from caphy.challenge.stage import Play
@@ -168,7 +168,8 @@ def measured_on_body(case: str, part: str, films: Path) -> list[Measurement]:
     stage, found = tshirt(SEED, FRAMES, True), []
     plays = [play for play in stage.plays if play.part == part]
     for play in plays[: 2 if part == "train" else 1]:
-        file = films / f"tshirt-{'nothing' if part == 'base' else case}-{part}-{play.number}.npz"
+        name = f"tshirt-{'nothing' if part == 'base' else case}-{part}-{play.number}"
+        file = films / f"{name}-{mesh_digest(stage.user)[:8]}.npz"
         if not file.is_file():
             hidden = ON_BODY["nothing" if part == "base" else case]
             write_npz(file, {"positions": _worn(stage.user, hidden, play).astype(np.float32)})

@@ -75,9 +75,15 @@ def _simulated(stage: Stage, play: Play, hidden: Hidden, frames: int) -> np.ndar
 
 def _key(stage: Stage, hidden: Hidden, seed: int, frames: int) -> str:
     effects = {n: {k: np.asarray(v).tolist() for k, v in values.items()} for n, values in hidden.effects.items()}
-    same_mesh = stage.truth is stage.user
-    said = [REVISION, stage.name, effects, hidden.outside, same_mesh, seed, frames, stage.model.to_json()]
+    mesh = mesh_digest(stage.truth)
+    said = [REVISION, stage.name, effects, hidden.outside, mesh, seed, frames, stage.model.to_json()]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:20]
+
+
+def mesh_digest(garment: Garment) -> str:
+    """What tells a mesh from another of the same garment: remeshing follows a processor's rounding, so that a film made
+    on one machine need not fit the mesh that another one makes."""
+    return hashlib.sha256(garment.vertices.tobytes() + garment.faces.tobytes()).hexdigest()[:20]
 
 
 def seen_by_user(
