@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from caphy.challenge.hidden import HIDDEN
+from caphy.challenge.recording import record
+from caphy.challenge.square import square
 from caphy.challenge.world import make
 from caphy.errors import CaphyError
 
@@ -22,3 +26,21 @@ def test_motions_simulated_side_by_side_are_the_same_ones() -> None:
 def test_what_has_a_place_in_space_is_not_hidden_from_people_who_walk_away_from_it() -> None:
     with pytest.raises(CaphyError, match="attraction does nothing in the scene skirt; it acts in square"):
         make("skirt", HIDDEN["attraction"], 3, frames=3)
+
+
+def test_a_film_is_not_taken_from_the_cache_for_another_mesh(tmp_path, monkeypatch) -> None:
+    """Remeshing follows a processor's rounding: another machine's garment of the same name has other vertices."""
+    stage = square(3, 3, False)
+    moved = stage.truth.vertices.copy()
+    moved[0, 0] += 1e-9
+    other = replace(stage, truth=replace(stage.truth, vertices=moved))
+    simulated = []
+
+    def simulate(stage, play, hidden, frames):
+        simulated.append(stage)
+        return np.zeros((frames, 1, 3))
+
+    monkeypatch.setattr("caphy.challenge.recording._simulated", simulate)
+    for each in (stage, stage, other, other):
+        record(each, each.plays[0], HIDDEN["nothing"], 3, 3, tmp_path)
+    assert simulated == [stage, other]
