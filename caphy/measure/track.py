@@ -48,6 +48,7 @@ _SUBSTEPS = 2
 _SIZE, _WAYS = "shrinkage_directional", ("weft", "warp")
 _SAME = 4e-3  # of lengths: sizes that do not differ
 _SIZINGS = 4  # registrations at most
+_MOST = 0.2  # of lengths: who asks for more has not seen where the cloth ends
 _LOOSE = 1.0  # of the prior [1/s^2] where a size is asked for: what keeps cloth still that nothing else does
 _TOLERANCE = 2e-4  # of the solver [N]
 
@@ -104,7 +105,10 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
         if np.abs(change).max() < _SAME:
             break
         known = model.effects.get(_SIZE) or switched_off(_SIZE)
-        model = model.with_effect(_SIZE, **{way: known[way] + by for way, by in zip(_WAYS, change, strict=True)})
+        size = np.array([known[way] for way in _WAYS]) + change
+        if np.abs(size).max() > _MOST:
+            break
+        model = model.with_effect(_SIZE, **dict(zip(_WAYS, size, strict=True)))
         tracker = _Tracker(scene, model)
         vertices, visible, ends = tracker.run(progress)
     noise = measurement_noise(scene.measurement)

@@ -102,6 +102,17 @@ def test_a_cloud_tells_where_cloth_ends_whatever_the_model_thinks_it_measures(fi
     assert np.nanmedian(away) < 2.5
 
 
+def test_a_cloud_that_asks_for_an_absurd_size_is_registered_in_the_model_s_own(film, monkeypatch):
+    """As of a hem that was cut out of a narrow garment; beyond its bounds the effect itself would be refused."""
+    positions, keys = film
+    measured = seen(
+        clouds(positions[:6], keys["faces"], 1500, 1e-3), {**keys, "pinned_positions": keys["pinned_positions"][:6]}
+    )
+    plain = registered(Scene.of(measured), MODEL).measurement.vertices
+    monkeypatch.setattr("caphy.measure.track._Tracker.size", lambda self: np.array([0.6, 0.0]))
+    np.testing.assert_array_equal(registered(Scene.of(measured), MODEL).measurement.vertices, plain)
+
+
 def test_what_is_registered_stays(film):
     positions, keys = film
     scene = Scene.of(Measurement(name="film", fps=30, vertices=positions, **keys))
