@@ -30,6 +30,25 @@ def normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return total / np.linalg.norm(total, axis=-1, keepdims=True)
 
 
+def clouds(positions: np.ndarray, faces: np.ndarray, count: int, noise: float, seed: int = 0) -> list[np.ndarray]:
+    """Points (count, 3) [m] of each frame, spread over the faces anew in every frame."""
+    random, found = np.random.default_rng(seed), []
+    for x in positions:
+        a, b, c = x[faces.T]
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        face = random.choice(len(faces), count, p=area / area.sum())
+        u, v = np.sort(random.uniform(size=(2, count)), axis=0)
+        points = u[:, None] * a[face] + (v - u)[:, None] * b[face] + (1 - v)[:, None] * c[face]
+        found.append(points + random.normal(0, noise, points.shape))
+    return found
+
+
+def seen(frames: list[np.ndarray], keys: dict, **changes) -> Measurement:
+    """Points of each frame as a measurement with a film's keys."""
+    offsets = np.cumsum([0, *map(len, frames)])
+    return Measurement(name="cloud", fps=30, points=np.concatenate(frames), offsets=offsets, **{**keys, **changes})
+
+
 def simulate(
     seconds: float = 2.0,
     fps: float = 30.0,

@@ -21,6 +21,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
+from caphy.refit.again import fitted_again
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import Apart, HeldOut
 from caphy.refit.intervals import intervals
@@ -146,6 +147,8 @@ def diagnose(
     known = base if isinstance(base, Base) else base_of(model, base, garment, body, progress, crew)
     study.mesh = None if known is None else known.mesh
     start = model if known is None else known.model
+    if known is not None and known.changed:
+        study, others = study.registered_by(start), others and others.registered_by(start)
     found = search(study, start, model, known)
     while (term := _doubtful(found, known, len(study.scenes))) is not None:
         take_back(study, found, term)
@@ -158,9 +161,9 @@ def diagnose(
         found = each_proven(study, found, apart.errors)
         settle_rivals(study, found, apart)
     settle_laws(study, found, apart)
-    errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
-    return _concluded(found, study, start, known, errors, elsewhere, time.perf_counter() - began)
+    concluded = _concluded(found, study, start, known, apart, elsewhere)
+    return replace(concluded, seconds=time.perf_counter() - began)
 
 
 def _concluded(
@@ -168,15 +171,22 @@ def _concluded(
     study: Study,
     start: Model,
     base: Base | None,
-    errors: HeldOut | None,
+    apart: Apart | None,
     elsewhere: Outside,
-    seconds: float,
 ) -> Diagnosis:
     first, notes, terms = found.screens[0], [], found.terms
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
+    errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     if terms and (reason := unproven(found.taken, errors, numbers)):
         notes.append(f"{', '.join(term.group.label for term in terms)} was taken back: {reason}")
         terms = []
+    before = first.responses
+    if terms and not elsewhere.beats and found.fit is not None:
+        again = fitted_again(study, found.fit, first.variance)
+        if again is not None:
+            found.fit, before = again.fit, again.before
+            numbers = _coefficients(found, base, len(study.scenes))
+            errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
     verdict = "nothing"
     if elsewhere.beats:
         verdict = "none of these"
@@ -200,12 +210,12 @@ def _concluded(
         model=_kept(found.model, start, kept) if kept else start,
         needed=first.needed,
         windows=len(first.responses),
-        median_mm=(_median(first.responses), _median(found.fit.responses if kept and found.fit else first.responses)),
+        median_mm=(_median(before), _median(found.fit.responses if kept and found.fit else before)),
         held_out=errors,
         outside=elsewhere,
         base=base,
         noise_mm=max(study.floors_mm, default=None),
-        seconds=seconds,
+        seconds=0.0,
         search=found,
         study=study,
         notes=tuple(notes),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -40,6 +40,7 @@ class Scene:
             :class:`~caphy.measure.rim.Rim`, NaN where it was not; of points that were registered with a model's help.
             It guessed where the cloth lies along itself: only distances across the cloth, and across its rim, are
             measured.
+        cloud: the points that it was registered from, if it was.
     """
 
     measurement: Measurement
@@ -48,6 +49,7 @@ class Scene:
     fixed: np.ndarray | None
     pins: Callable[[float], Tensor] | None
     ends: np.ndarray | None = None
+    cloud: Measurement | None = None
 
     @classmethod
     def of(cls, measurement: Measurement, garment: Garment | None = None, body: BodyModel | None = None) -> Scene:
@@ -96,6 +98,11 @@ class Scene:
     def slides(self) -> bool:
         """Whether where the cloth lies along itself is not known."""
         return self.ends is not None
+
+    @property
+    def unregistered(self) -> Scene:
+        """The same with its points in place of what was registered, if it was."""
+        return self if self.cloud is None else replace(self, measurement=self.cloud, ends=None, cloud=None)
 
     @property
     def regions(self) -> np.ndarray:

@@ -122,7 +122,7 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
         noise_mm=None if noise is None else 1e3 * noise.sigma,
         notes=(*scene.measurement.notes, "registered with the model's help"),
     )
-    return replace(scene, measurement=measurement, ends=ends)
+    return replace(scene, measurement=measurement, ends=ends, cloud=scene.measurement)
 
 
 class _Tracker:

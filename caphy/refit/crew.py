@@ -53,12 +53,15 @@ class Crew:
         for each in self._each:
             each.shutdown(wait=kind is None, cancel_futures=True)
 
-    def learn(self, scenes: Sequence[Scene], length: int) -> int:
-        """Hand every process the scenes of a study; the number by which they know it."""
+    def learn(self, scenes: Sequence[Scene], length: int, like: int | None = None) -> int:
+        """Hand every process the scenes of a study; the number by which they know it.
+
+        What they know of the windows of a study ``like`` it, of the same motions, holds.
+        """
         self._studies += 1
         given = [(s.measurement, s.garment, getattr(s.motion, "body", None), s.ends) for s in scenes]
         for each in self._each:
-            each.submit(_learn, self._studies, given, length)
+            each.submit(_learn, self._studies, given, length, like)
         return self._studies
 
     def respond(
@@ -107,10 +110,13 @@ def _begin(effect_files: Sequence[Path]) -> None:
 
 
 def _learn(
-    study: int, given: Sequence[tuple[Measurement, Garment, BodyModel | None, np.ndarray | None]], length: int
+    study: int,
+    given: Sequence[tuple[Measurement, Garment, BodyModel | None, np.ndarray | None]],
+    length: int,
+    like: int | None,
 ) -> None:
     scenes = [replace(Scene.of(measured, garment, body), ends=ends) for measured, garment, body, ends in given]
-    _KNOWN[study] = watched(scenes, length)
+    _KNOWN[study] = watched(scenes, length, None if like is None else _KNOWN[like])
 
 
 def _respond(

@@ -74,6 +74,10 @@ class Apart:
         self.study, self.variance, self.columns, self.learned = study, variance, tuple(columns), learned
         self._before: tuple[object, Study, list[Response]] | None = None  # of the origin that was asked for last
 
+    def registered_by(self, model: Model) -> Apart:
+        """The same windows, clouds registered by another model."""
+        return Apart(self.study.registered_by(model), self.variance, self.columns, self.learned)
+
     def errors(self, fitted: Fit) -> HeldOut:
         """Roll out a model before and after a fit."""
         every = (*self.columns, *(column for column in fitted.columns if column not in self.columns))

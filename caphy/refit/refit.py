@@ -15,6 +15,7 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered
+from caphy.refit.again import fitted_again
 from caphy.refit.columns import Column, addition, extended, further, moved, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
@@ -85,7 +86,8 @@ def refit(
     proof = Study(apart, progress=progress, crew=crew, mesh=mesh) if apart else _split(study)
     fitted, first, removed = _fitted(study, model, names, learned)
     variance = first.variance
-    errors = Apart(proof, variance, () if learned is None else learned.columns, learned).errors(fitted)
+    judge = Apart(proof, variance, () if learned is None else learned.columns, learned)
+    errors = judge.errors(fitted)
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
@@ -96,6 +98,10 @@ def refit(
             f"{', '.join(kept) or 'the new parameters'} refused"
         )
         return Refit(model, (), names, numbers, errors, reason, fitted.share)
+    again = fitted_again(study, fitted, variance)
+    if again is not None:
+        fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
+        numbers = intervals(fitted, learned, len(study.scenes))
     return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share)
 
 

@@ -85,14 +85,15 @@ class Response:
 class Watched:
     """A measured scene, cut into windows."""
 
-    def __init__(self, scene: Scene, number: int = 0, length: int = LENGTH) -> None:
+    def __init__(self, scene: Scene, number: int = 0, length: int = LENGTH, like: Watched | None = None) -> None:
+        """What is known of windows ``like`` these, of the same motion registered otherwise, holds."""
         if scene.measurement.vertices is None:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: must be registered; register the point clouds first")
         self.scene, self.number, self.length = scene, number, length
         # What time step, mesh and errors of the start do to each window: a step of a fit changes that little.
-        self._solver: dict[int, np.ndarray] = {}
-        self._starts: dict[int, np.ndarray] = {}
+        self._solver: dict[int, np.ndarray] = {} if like is None else dict(like._solver)
+        self._starts: dict[int, np.ndarray] = {} if like is None else dict(like._starts)
 
     @cached_property
     def projection(self) -> Projection:
@@ -277,6 +278,7 @@ def _simulator(scene: Scene, model: Model) -> Simulator:
     return Simulator(newton, scene.motion, SDIRK2(), scene.pins)  # type: ignore[arg-type]
 
 
-def watched(scenes: Sequence[Scene], length: int = LENGTH) -> list[Watched]:
-    """Scenes in the order given."""
-    return [Watched(scene, number, length) for number, scene in enumerate(scenes)]
+def watched(scenes: Sequence[Scene], length: int = LENGTH, like: Sequence[Watched] | None = None) -> list[Watched]:
+    """Scenes in the order given, as :class:`Watched` each ``like`` the same motion registered otherwise."""
+    known = [None] * len(scenes) if like is None else like
+    return [Watched(scene, number, length, old) for number, (scene, old) in enumerate(zip(scenes, known, strict=True))]

@@ -11,6 +11,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError, Diverged
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
+from caphy.measure.track import registered
 from caphy.measure.windows import LENGTH
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.crew import Crew, Place
@@ -56,9 +57,11 @@ class Study:
         progress: Progress | None = None,
         crew: Crew | None = None,
         mesh: float | None = None,
+        like: Study | None = None,
     ) -> None:
         """``crew`` rolls windows out, this process does unless given. ``mesh`` is how much of the mesh's error is in
-        all windows, where that is known; it is free in each unless given.
+        all windows, where that is known; it is free in each unless given. What is known of the windows of a study
+        ``like`` it, of the same motions, holds here.
 
         Raises :class:`CaphyError` where there are too few windows, or some scenes were registered from clouds alone.
         """
@@ -66,7 +69,7 @@ class Study:
             raise CaphyError(KINDS)
         self.scenes, self.length, self.progress, self.crew = tuple(scenes), length, progress, crew
         self.mesh = mesh
-        self.watched = watched(scenes, length)
+        self.watched = watched(scenes, length, None if like is None else like.watched)
         self._expected: list[np.ndarray] | None = None
         self.starts = [each.starts() for each in self.watched]
         if sum(map(len, self.starts)) < FEWEST:
@@ -75,7 +78,7 @@ class Study:
                 f"{names}: needs at least {FEWEST} windows of {length} frames, each with half of the vertices seen "
                 f"around its start, got {sum(map(len, self.starts))}; measure longer motions"
             )
-        self._known_as = None if crew is None else crew.learn(self.scenes, length)
+        self._known_as = None if crew is None else crew.learn(self.scenes, length, like and like._known_as)
 
     @property
     def on_body(self) -> bool:
@@ -160,6 +163,20 @@ class Study:
         """The same windows, of which nothing is known yet."""
         other = Study(self.scenes, self.length, self.progress, self.crew, self.mesh)
         other.starts = list(self.starts)
+        return other
+
+    def registered_by(self, model: Model) -> Study:
+        """The same windows, clouds registered by another model; what is known of them holds."""
+        scenes = [registered(scene.unregistered, model, self.progress) for scene in self.scenes]
+        other = Study(scenes, self.length, self.progress, self.crew, self.mesh, self)
+        seen = [(number, start) for number, starts in enumerate(other.starts) for start in starts]
+        places = [(number, start) for number, starts in enumerate(self.starts) for start in starts]
+        kept = [place in seen for place in places]
+        other.starts = [
+            [start for start in starts if (number, start) in seen] for number, starts in enumerate(self.starts)
+        ]
+        if self._expected is not None:
+            other._expected = [e for e, there in zip(self._expected, kept, strict=True) if there]
         return other
 
     def variance(self, responses: Sequence[Response]) -> np.ndarray:
@@ -321,7 +338,7 @@ def refined(
     step = best.step
     for _ in range(rounds):
         there = moved(best.model, best.columns, step)
-        found = _tried(study, best, there, variance, weight, what)
+        found = tried(study, best, there, variance, weight, what)
         if found is not None and best.misfit - found.misfit > -_ROUGH * best.misfit:
             best, step = found, found.step
             if best.settled:
@@ -335,7 +352,7 @@ def refined(
     return best
 
 
-def _tried(
+def tried(
     study: Study,
     best: Fit,
     there: Model,
@@ -364,7 +381,7 @@ def retold(
         return best
     path, there, before = [best.change], best.model, best.by_mesh
     for _ in range(RETELLINGS):
-        told = _tried(study, best, there, variance, weight, what, {"solver"})
+        told = tried(study, best, there, variance, weight, what, {"solver"})
         if told is None:
             break
         best = told

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from explicit_cloth import normals, simulate
+from explicit_cloth import clouds, normals, seen, simulate
 
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -17,24 +17,6 @@ from caphy.measure.track import registered
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
-
-
-def clouds(positions: np.ndarray, faces: np.ndarray, count: int, noise: float, seed: int = 0) -> list[np.ndarray]:
-    """Points (count, 3) [m] of each frame, spread over the faces anew in every frame."""
-    random, found = np.random.default_rng(seed), []
-    for x in positions:
-        a, b, c = x[faces.T]
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        face = random.choice(len(faces), count, p=area / area.sum())
-        u, v = np.sort(random.uniform(size=(2, count)), axis=0)
-        points = u[:, None] * a[face] + (v - u)[:, None] * b[face] + (1 - v)[:, None] * c[face]
-        found.append(points + random.normal(0, noise, points.shape))
-    return found
-
-
-def seen(frames: list[np.ndarray], keys: dict, **changes) -> Measurement:
-    offsets = np.cumsum([0, *map(len, frames)])
-    return Measurement(name="cloud", fps=30, points=np.concatenate(frames), offsets=offsets, **{**keys, **changes})
 
 
 @pytest.fixture(scope="module")

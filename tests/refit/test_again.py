@@ -1,0 +1,113 @@
+"""Numbers fitted to clouds that the fitted model registers, until both agree."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from explicit_cloth import clouds, seen, simulate
+
+from caphy.effects.model import Model
+from caphy.measure.scene import Scene
+from caphy.measure.track import registered
+from caphy.refit import again
+from caphy.refit.again import agreed, fitted_again
+from caphy.refit.columns import addition, tunable
+from caphy.refit.evidence import Evidence, evidence, robust_weights
+from caphy.refit.study import Fit, Study, fit
+
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
+COLUMNS = addition("shear_stiffness")
+NAME, PARAMETER = COLUMNS[0].effect, COLUMNS[0].parameter
+
+
+def test_two_answers_of_a_straight_law_lead_to_where_they_agree():
+    metric = np.diag([1.0, 4.0])
+    told = lambda at: np.array([3.0, -2.0]) + 0.6 * at  # noqa: E731
+    first = (np.zeros(2), told(np.zeros(2)))
+    second = (first[1], told(first[1]))
+    np.testing.assert_allclose(agreed(first, second, metric), np.array([3.0, -2.0]) / 0.4, rtol=1e-12)
+    np.testing.assert_array_equal(agreed(first, (first[1], first[1]), metric), first[1])  # agreed already
+
+
+def test_steps_that_do_not_shrink_lead_no_farther_than_five_of_them():
+    metric = np.eye(1)
+    there = agreed((np.zeros(1), np.ones(1)), (np.ones(1), np.full(1, 2.0)), metric)
+    assert there == pytest.approx([2.0])  # the same again: nothing tells where it ends
+    there = agreed((np.zeros(1), np.ones(1)), (np.ones(1), np.full(1, 1.99)), metric)
+    assert there == pytest.approx([1.99 + 4 * 0.99])
+
+
+class Law:
+    """A study whose clouds tell a number by the law ``told`` of that which they were registered with."""
+
+    def __init__(self, told, at: float = 0.0, slides: bool = True, seen=None) -> None:
+        self.told, self.at, self.seen = told, at, [] if seen is None else seen
+        self.scenes, self.starts = [SimpleNamespace(slides=slides)], [list(range(8))]
+
+    def registered_by(self, model: Model) -> Law:
+        at = float(np.asarray(model.effects[NAME][PARAMETER]))
+        self.seen.append(at)
+        return Law(self.told, at, seen=self.seen)
+
+
+def fitted(value: float) -> Fit:
+    model = MODEL.with_effect(NAME, **{PARAMETER: value})
+    known = Evidence(np.ones((8, 1, 1)), np.ones((8, 1)), np.ones(8), np.ones(8), np.ones(8))
+    return Fit(MODEL, model, COLUMNS, known, [], known, 1.0, np.ones(8))
+
+
+@pytest.fixture
+def plays(monkeypatch):
+    """Fits give what the law says."""
+    monkeypatch.setattr(again, "retold", lambda study, fit, variance, weight: fit)
+    monkeypatch.setattr(
+        again, "_fitted", lambda study, best, variance: again.Again(study, fitted(study.told(study.at)), [])
+    )
+
+
+@pytest.mark.usefixtures("plays")
+def test_registered_until_both_agree():
+    clouds = Law(lambda at: 19 + 0.7 * at - 0.0035 * at**2)  # as of a shear stiffness of 45, which it tells as 43
+    found = fitted_again(clouds, fitted(19.0), np.ones((1, 1)))
+    meeting = 19 / (0.15 + np.sqrt(0.15**2 + 0.0035 * 19))  # root of 0.0035 x^2 + 0.3 x - 19
+    assert found.fit.change == pytest.approx([meeting], rel=0.06)
+    assert len(clouds.seen) <= again.TIMES
+    assert clouds.seen[0] == 19.0
+
+
+@pytest.mark.usefixtures("plays")
+def test_where_registering_does_not_matter_it_is_done_once():
+    clouds = Law(lambda at: 5 + 0.02 * at)
+    found = fitted_again(clouds, fitted(5.0), np.ones((1, 1)))
+    assert clouds.seen == [5.0]
+    assert found.fit.change == pytest.approx([5.1])
+
+
+@pytest.mark.usefixtures("plays")
+def test_what_was_measured_as_vertices_is_not_registered():
+    clouds = Law(lambda at: 5 + 0.5 * at, slides=False)
+    assert fitted_again(clouds, fitted(5.0), np.ones((1, 1))) is None
+    assert clouds.seen == []
+
+
+def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():
+    """Registered by a model that lacks two thirds of it, clouds tell less than half of what is missing."""
+    positions, keys = simulate(seconds=1.2, settle=2.0, lame=(20.9, 3 * 11.1))
+    points = seen(clouds(positions, keys["faces"], 1500, 1e-3), keys, noise_mm=1.0)
+    study = Study([registered(Scene.of(points), MODEL)])
+    columns = [column for column in tunable("strain_stvk", MODEL) if column.parameter == "lame_mu"]
+    responses = study.respond(MODEL, columns, "before")
+    variance = study.variance(responses)
+    first = fit(study, MODEL, columns, responses, variance, robust_weights(evidence(responses, variance)))
+    found = fitted_again(study, first, variance)
+    assert found is not None
+    assert found.fit.origin is MODEL
+    assert 0 < first.change[0] < 1.0
+    assert found.fit.change == pytest.approx([2.0], rel=0.25)
+    assert found.study.starts == study.starts
+    median, before = (
+        np.median(np.concatenate([r.error for r in each])) for each in (found.fit.responses, found.before)
+    )
+    assert median < before
