@@ -7,10 +7,12 @@ the model that was fitted they ask for more of it, and so on, by steps that shri
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from caphy.effects.model import Model
 from caphy.errors import Diverged
 from caphy.refit.columns import changes, extended, moved
 from caphy.refit.evidence import evidence, robust_weights
@@ -20,8 +22,8 @@ from caphy.refit.study import FEWEST, Fit, Study, fit, refined, retold, tried
 TIMES = 3
 """Registrations of fitted models, at most."""
 
-_SHRINKS = 0.8  # factor from one step to the next that is believed at most
-_STAYS = 0.06  # of a fit's change, by what windows can tell: a difference from the registering model that is none
+_STEEPEST = 0.8  # change of what is told by that of the registering model, that is believed at most
+_STAYS = 0.06  # of a fit's change, by what windows can tell: how far it may be from where both would agree
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,52 +51,56 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
     if not any(scene.slides for scene in study.scenes):
         return None
     found: Again | None = None
-    at, told = np.zeros_like(best.change), best.change  # the registering model's numbers, those fitted to its clouds
-    there = best.model
+    pairs, there = [(np.zeros_like(best.change), best.change)], best.model
     for _ in range(TIMES):
         try:
             other = study.registered_by(there)
-            again = None if sum(map(len, other.starts)) < FEWEST else _fitted(other, best, variance)
+            again = None if sum(map(len, other.starts)) < FEWEST else _fitted(other, best, there, variance)
         except Diverged:
             break
         if again is None:
             break
         found, best = again, again.fit
-        before, at = (at, told), changes(extended(best.origin, best.columns), there, best.columns)
         told, metric = best.change, best.evidence.normal[0]
-        off = told - at
-        if off @ metric @ off < _STAYS**2 * (told @ metric @ told):
+        pairs.append((changes(extended(best.origin, best.columns), there, best.columns), told))
+        meeting = agreed(pairs, metric)
+        if _size(meeting - told, metric) < _STAYS * _size(told, metric):
             break
-        there = moved(best.origin, best.columns, agreed(before, (at, told), metric))
+        there = moved(best.origin, best.columns, meeting)
     return found
 
 
-def agreed(
-    before: tuple[np.ndarray, np.ndarray], last: tuple[np.ndarray, np.ndarray], metric: np.ndarray
-) -> np.ndarray:
-    """Where what is told (K,) should be what was registered by, judging by two pairs (registered by, told).
+def _size(change: np.ndarray, metric: np.ndarray) -> float:
+    return float(np.sqrt(max(change @ metric @ change, 0.0)))
 
-    Anderson's acceleration of a fixed point by one step back (J. ACM 12, 1965), which for one number is the secant; the
-    difference is sought in a ``metric`` (K, K). Steps are believed to shrink by :data:`_SHRINKS` at least.
+
+def agreed(pairs: Sequence[tuple[np.ndarray, np.ndarray]], metric: np.ndarray) -> np.ndarray:
+    """The numbers (K,) at which what is told should be what was registered by, from pairs (registered by, told).
+
+    A straight line through the pairs, with one slope for all numbers, by least squares in a ``metric`` (K, K): each
+    fit has its noise, which a secant through two of them (Aitken, Anderson) would follow. Its slope is believed up to
+    :data:`_STEEPEST`.
     """
-    off = last[1] - last[0]
-    since = off - (before[1] - before[0])
-    size = float(since @ metric @ since)
-    back = float(since @ metric @ off) / size if size > 0 else 0.0
-    return last[1] - np.clip(back, -_SHRINKS / (1 - _SHRINKS), 1.0) * (last[1] - before[1])
+    at, told = (np.array(each) for each in zip(*pairs, strict=True))
+    middle, answer = at.mean(0), told.mean(0)
+    spread = float(np.einsum("pk,kl,pl->", at - middle, metric, at - middle))
+    along = float(np.einsum("pk,kl,pl->", at - middle, metric, told - answer))
+    slope = np.clip(along / spread if spread > 0 else 0.0, -_STEEPEST, _STEEPEST)
+    return answer + slope / (1 - slope) * (answer - middle)
 
 
-def _fitted(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
-    """A fit carried on in other windows."""
+def _fitted(study: Study, best: Fit, there: Model, variance: np.ndarray) -> Again | None:
+    """A fit carried on in other windows, from a model that it may come to.
+
+    What is told of the mesh and what of the registration hang on each other, so that of several small steps each leads
+    to the next: it is fitted on though a step promises little.
+    """
     columns, what = best.columns, "clouds registered again"
     before = study.respond(best.origin, columns, what)
     weight = robust_weights(evidence(before, variance))
     start = fit(study, best.origin, columns, before, variance, weight, what, 0)
-    there = tried(study, start, best.model, variance, weight, what)
-    if there is None:
+    found = tried(study, start, there, variance, weight, what, {"solver"})
+    if found is None:
         return None
-    there = replace(there, by_mesh=best.by_mesh)
-    if not there.settled:
-        there = replace(refined(study, there, variance, weight, what), by_mesh=best.by_mesh)
-        there = retold(study, there, variance, weight)
-    return Again(study, replace(there, follow=best.follow), before)
+    found = replace(refined(study, found, variance, weight, what), by_mesh=best.by_mesh)
+    return Again(study, replace(retold(study, found, variance, weight), follow=best.follow), before)

@@ -31,7 +31,7 @@ RETELLINGS = 3
 
 _AGREE = 0.9  # cosine of two steps between retellings beyond which they are of one way
 _SHRINKS = 0.8  # factor from one to the next that is believed at most
-_SETTLED = 4e-3  # of what the whole change takes away: what a further step must promise; 6 % of the numbers
+_SETTLED = 1e-3  # of what the whole change takes away: what a further step must promise; 3 % of the numbers
 _NOTHING = 1e-5  # of the misfit: a promise that is none
 
 FURTHEST = 10.0

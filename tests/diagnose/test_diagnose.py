@@ -22,10 +22,11 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement, write_measurement
 from caphy.measure.scene import Scene
+from caphy.refit.again import Again
 from caphy.refit.columns import addition
 from caphy.refit.heldout import Apart
 from caphy.refit.refit import refit
-from caphy.refit.study import Study
+from caphy.refit.study import Fit, Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 DRAG = 0.6  # kg/m^2/s against the velocity: a rate of 3 1/s on cloth of 0.2 kg/m^2
@@ -204,6 +205,32 @@ def test_the_commands_write_what_they_say(tmp_path, dragged, capsys):
     assert again.history[-1].added == ("mass_damping",)
     assert again.history[-1].error_after < again.history[-1].error_before
     assert "before" in better.with_suffix(".html").read_text()
+
+
+def test_what_clouds_tell_is_told_by_those_registered_again(dragged, monkeypatch):
+    """What is told, kept and held out is of the fit that agrees with its clouds."""
+    seen = []
+
+    def again(study: Study, best: Fit, variance: np.ndarray) -> Again:
+        (rate,) = best.change
+        model = best.model.with_effect(HIDDEN, rate=1.2 * rate)
+        seen.append(rate)
+        told = replace(best, model=model, responses=study.respond(model, best.columns))
+        return Again(study, told, study.respond(best.origin, best.columns))
+
+    for module in ("caphy.diagnose.diagnosis", "caphy.refit.refit"):
+        monkeypatch.setattr(f"{module}.fitted_again", again)
+    found = diagnose(MODEL, dragged[:1], held_out=dragged[1:])
+    refitted_to = refit(MODEL, dragged[:1], (HIDDEN,), dragged[1:])
+    told = found.coefficients[f"{HIDDEN}.rate"].value, refitted_to.coefficients[f"{HIDDEN}.rate"][0]
+    for rate, value, model, held in zip(
+        seen, told, (found.model, refitted_to.model), (found.held_out, refitted_to.held_out), strict=True
+    ):
+        assert value == pytest.approx(1.2 * rate)
+        assert model.effects[HIDDEN]["rate"] == pytest.approx(1.2 * rate)
+        windows = Study([checked_scene(dragged[1], MODEL)]).respond(model, ())
+        errors = np.concatenate([window.error.ravel() for window in windows])
+        assert held.after_mm == pytest.approx(1e3 * np.nanmedian(errors), rel=1e-3)
 
 
 @pytest.fixture(scope="module")

@@ -22,21 +22,20 @@ COLUMNS = addition("shear_stiffness")
 NAME, PARAMETER = COLUMNS[0].effect, COLUMNS[0].parameter
 
 
-def test_two_answers_of_a_straight_law_lead_to_where_they_agree():
+def test_answers_of_a_straight_law_lead_to_where_they_agree():
     metric = np.diag([1.0, 4.0])
     told = lambda at: np.array([3.0, -2.0]) + 0.6 * at  # noqa: E731
-    first = (np.zeros(2), told(np.zeros(2)))
-    second = (first[1], told(first[1]))
-    np.testing.assert_allclose(agreed(first, second, metric), np.array([3.0, -2.0]) / 0.4, rtol=1e-12)
-    np.testing.assert_array_equal(agreed(first, (first[1], first[1]), metric), first[1])  # agreed already
+    at = [np.zeros(2), told(np.zeros(2)), np.array([9.0, 1.0])]
+    for count in (2, 3):
+        pairs = [(each, told(each)) for each in at[:count]]
+        np.testing.assert_allclose(agreed(pairs, metric), np.array([3.0, -2.0]) / 0.4, rtol=1e-12)
+    flat = [(at[0], at[1]), (at[1], at[1])]
+    np.testing.assert_allclose(agreed(flat, metric), at[1])  # agreed already
 
 
-def test_steps_that_do_not_shrink_lead_no_farther_than_five_of_them():
-    metric = np.eye(1)
-    there = agreed((np.zeros(1), np.ones(1)), (np.ones(1), np.full(1, 2.0)), metric)
-    assert there == pytest.approx([2.0])  # the same again: nothing tells where it ends
-    there = agreed((np.zeros(1), np.ones(1)), (np.ones(1), np.full(1, 1.99)), metric)
-    assert there == pytest.approx([1.99 + 4 * 0.99])
+def test_a_law_that_meets_nothing_leads_no_farther_than_believed():
+    pairs = [(np.zeros(1), np.ones(1)), (np.ones(1), np.full(1, 2.0))]
+    assert agreed(pairs, np.eye(1)) == pytest.approx([1.5 + 4 * 1.0])
 
 
 class Law:
@@ -63,7 +62,7 @@ def plays(monkeypatch):
     """Fits give what the law says."""
     monkeypatch.setattr(again, "retold", lambda study, fit, variance, weight: fit)
     monkeypatch.setattr(
-        again, "_fitted", lambda study, best, variance: again.Again(study, fitted(study.told(study.at)), [])
+        again, "_fitted", lambda study, best, there, variance: again.Again(study, fitted(study.told(study.at)), [])
     )
 
 
