@@ -309,7 +309,7 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool) -> Term | 
     if _more(last, best) < least:
         return None
     if found.fit is not None:
-        best = replace(best, by_mesh=found.fit.by_mesh)
+        best = replace(best, by_retelling=found.fit.by_retelling)
     best = retold(study, best, last.variance, last.evidence.weight)
     far = fits[label].misfit + _ROLLED * last.misfit
     groups = {score.group.label: score.group for score in near}
@@ -401,7 +401,7 @@ def refitted(study: Study, found: Search, groups: Sequence[Group], what: str) ->
     start = moved(start, columns, changes(start, known, columns))
     responses = study.respond(start, columns, what, anew={"solver"})
     fitted = fit(study, start, columns, responses, first.variance, first.evidence.weight, what)
-    return replace(fitted, origin=first.model, first=_told(first, columns), by_mesh=found.fit.by_mesh)
+    return replace(fitted, origin=first.model, first=_told(first, columns), by_retelling=found.fit.by_retelling)
 
 
 def _lost(fitted: Fit, term: Term) -> float:

@@ -17,7 +17,7 @@ from caphy.errors import Diverged
 from caphy.refit.columns import changes, extended, moved
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.responses import Response
-from caphy.refit.study import FEWEST, Fit, Study, fit, refined, retold, tried
+from caphy.refit.study import Fit, Study, fit, gone_further, refined, retold, tried
 
 TIMES = 3
 """Registrations of fitted models, at most."""
@@ -50,14 +50,11 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
     """
     if not any(scene.slides for scene in study.scenes):
         return None
-    found: Again | None = None
+    found, first = None, best
     pairs, there = [(np.zeros_like(best.change), best.change)], best.model
     for _ in range(TIMES):
-        try:
-            other = study.registered_by(there)
-            again = None if sum(map(len, other.starts)) < FEWEST else _fitted(other, best, there, variance)
-        except Diverged:
-            break
+        other = study.registered_by(there)
+        again = None if other is study else _fitted(other, best, there, variance)
         if again is None:
             break
         found, best = again, again.fit
@@ -67,7 +64,10 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
         if _size(meeting - told, metric) < _STAYS * _size(told, metric):
             break
         there = moved(best.origin, best.columns, meeting)
-    return found
+    if found is None:
+        return None
+    gone = gone_further(first.by_retelling, best.columns, best.change - first.change)
+    return replace(found, fit=replace(best, by_retelling=gone))
 
 
 def _size(change: np.ndarray, metric: np.ndarray) -> float:
@@ -90,17 +90,20 @@ def agreed(pairs: Sequence[tuple[np.ndarray, np.ndarray]], metric: np.ndarray) -
 
 
 def _fitted(study: Study, best: Fit, there: Model, variance: np.ndarray) -> Again | None:
-    """A fit carried on in other windows, from a model that it may come to.
+    """A fit carried on in other windows, from a model that it may come to; none where cloth flies apart.
 
     What is told of the mesh and what of the registration hang on each other, so that of several small steps each leads
     to the next: it is fitted on though a step promises little.
     """
     columns, what = best.columns, "clouds registered again"
-    before = study.respond(best.origin, columns, what)
+    try:
+        before = study.respond(best.origin, columns, what)
+    except Diverged:
+        return None
     weight = robust_weights(evidence(before, variance))
     start = fit(study, best.origin, columns, before, variance, weight, what, 0)
     found = tried(study, start, there, variance, weight, what, {"solver"})
     if found is None:
         return None
-    found = replace(refined(study, found, variance, weight, what), by_mesh=best.by_mesh)
-    return Again(study, replace(retold(study, found, variance, weight), follow=best.follow), before)
+    found = retold(study, refined(study, found, variance, weight, what), variance, weight)
+    return Again(study, replace(found, follow=best.follow), before)

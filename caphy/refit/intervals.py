@@ -62,11 +62,12 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     the fit ended counts as an error too, on the side to which it points: effects of a few per cent of the misfit end a
     good part of it early. So does what telling the mesh's error of the fitted model changed, as a half width: base
     measurements do not know that part of the error, and with two meshes nothing tells what is left of it (the grid
-    convergence index of Roache 1994, J. Fluids Eng. 116, with its factor of safety of 3).
+    convergence index of Roache 1994, J. Fluids Eng. 116, with its factor of safety of 3). What registering clouds by
+    the fitted model changed counts likewise.
     """
     known = 0.0 if learned is None else learned.doubt(fit.columns, motions, fit.follow, fit.first)
-    by_mesh = np.array([fit.by_mesh.get(column, 0.0) for column in fit.columns])
-    known = np.hypot(known, by_mesh / norm.ppf(0.5 + LEVEL / 2))
+    by_retelling = np.array([fit.by_retelling.get(column, 0.0) for column in fit.columns])
+    known = np.hypot(known, by_retelling / norm.ppf(0.5 + LEVEL / 2))
     own, wide = half_widths(fit.evidence, known, np.hypot(known, fit.step))
     below, above = np.where(fit.step < 0, wide, own), np.where(fit.step > 0, wide, own)
     found = {}

@@ -60,7 +60,7 @@ def _fitted_on(
     found = fit(study, start, columns, responses, variance, weight, what, most=best.most)
     idle = _beside(best.origin.without_effect(name), found.model)
     first = evidence(study.respond(idle, columns, what, anew={"solver"}), variance, best.first.weight)
-    return replace(found, origin=idle, first=first, by_mesh=best.by_mesh)
+    return replace(found, origin=idle, first=first, by_retelling=best.by_retelling)
 
 
 def _led_astray(

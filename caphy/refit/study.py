@@ -166,15 +166,18 @@ class Study:
         return other
 
     def registered_by(self, model: Model) -> Study:
-        """The same windows, clouds registered by another model; what is known of them holds."""
-        scenes = [registered(scene.unregistered, model, self.progress) for scene in self.scenes]
-        other = Study(scenes, self.length, self.progress, self.crew, self.mesh, self)
-        seen = [(number, start) for number, starts in enumerate(other.starts) for start in starts]
-        places = [(number, start) for number, starts in enumerate(self.starts) for start in starts]
-        kept = [place in seen for place in places]
-        other.starts = [
-            [start for start in starts if (number, start) in seen] for number, starts in enumerate(self.starts)
-        ]
+        """The same windows, clouds registered by another model; what is known of them holds. This study itself where
+        that model does not follow its clouds."""
+        try:
+            scenes = [registered(scene.unregistered, model, self.progress) for scene in self.scenes]
+            other = Study(scenes, self.length, self.progress, self.crew, self.mesh, self)
+        except CaphyError:
+            return self
+        seen = [set(starts) for starts in other.starts]
+        kept = [start in seen[number] for number, starts in enumerate(self.starts) for start in starts]
+        if sum(kept) < FEWEST:
+            return self
+        other.starts = [[s for s in starts if s in there] for starts, there in zip(self.starts, seen, strict=True)]
         if self._expected is not None:
             other._expected = [e for e, there in zip(self._expected, kept, strict=True) if there]
         return other
@@ -200,8 +203,8 @@ class Fit:
         most: what each window may count at most (W,).
         converged: whether another step promised nothing.
         follow: of columns that screens do not know, what those of the effect that theirs refines do to them.
-        by_mesh: how far columns, also some that are fitted no more, went because the mesh's error was told of the
-            fitted model.
+        by_retelling: how far columns, also some that are fitted no more, went because the mesh's error was told of the
+            fitted model, or clouds were registered by it.
     """
 
     origin: Model
@@ -214,7 +217,7 @@ class Fit:
     most: np.ndarray
     converged: bool = False
     follow: Mapping[Column, Mapping[Column, float]] = field(default_factory=dict)
-    by_mesh: Mapping[Column, float] = field(default_factory=dict)
+    by_retelling: Mapping[Column, float] = field(default_factory=dict)
 
     @property
     def change(self) -> np.ndarray:
@@ -379,7 +382,7 @@ def retold(
     """
     if study.mesh is None:
         return best
-    path, there, before = [best.change], best.model, best.by_mesh
+    path, there, before = [best.change], best.model, best.by_retelling
     for _ in range(RETELLINGS):
         told = tried(study, best, there, variance, weight, what, {"solver"})
         if told is None:
@@ -392,8 +395,12 @@ def retold(
         path.append(best.change)
         further = _way_left(path, best.evidence.normal[0])
         there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model
-    gone = zip(best.columns, best.change - path[0], strict=True)
-    return replace(best, by_mesh={column: float(np.hypot(by, before.get(column, 0.0))) for column, by in gone})
+    return replace(best, by_retelling=gone_further(before, best.columns, best.change - path[0]))
+
+
+def gone_further(before: Mapping[Column, float], columns: Sequence[Column], change: np.ndarray) -> dict[Column, float]:
+    """:attr:`Fit.by_retelling` of columns that went by a further ``change`` (K,)."""
+    return {c: float(np.hypot(by, before.get(c, 0.0))) for c, by in zip(columns, change, strict=True)}
 
 
 def _way_left(path: Sequence[np.ndarray], metric: np.ndarray) -> np.ndarray:

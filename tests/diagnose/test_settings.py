@@ -46,7 +46,7 @@ def test_what_retelling_the_mesh_moved_is_still_known_once_a_frequency_is_fitted
     windows = study.respond(model, columns)
     variance = study.variance(windows)
     weight = robust_weights(evidence(windows, variance))
-    best = replace(fit(study, model, columns, windows, variance, weight, rounds=1), by_mesh={columns[0]: 0.25})
+    best = replace(fit(study, model, columns, windows, variance, weight, rounds=1), by_retelling={columns[0]: 0.25})
     on = told_further(study, best, "gust", variance, weight)
     assert set(on.columns) == {*columns, *further("gust")}
-    assert on.by_mesh[columns[0]] == 0.25
+    assert on.by_retelling[columns[0]] == 0.25

@@ -74,6 +74,7 @@ def test_registered_until_both_agree():
     assert found.fit.change == pytest.approx([meeting], rel=0.06)
     assert len(clouds.seen) <= again.TIMES
     assert clouds.seen[0] == 19.0
+    assert found.fit.by_retelling[COLUMNS[0]] == pytest.approx(found.fit.change[0] - 19.0)  # counts as a doubt
 
 
 @pytest.mark.usefixtures("plays")
@@ -106,7 +107,11 @@ def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():
     assert 0 < first.change[0] < 1.0
     assert found.fit.change == pytest.approx([2.0], rel=0.25)
     assert found.study.starts == study.starts
+    assert found.fit.by_retelling[columns[0]] == pytest.approx(found.fit.change[0] - first.change[0])
     median, before = (
         np.median(np.concatenate([r.error for r in each])) for each in (found.fit.responses, found.before)
     )
     assert median < before
+    assert (
+        study.registered_by(MODEL.with_effect("strain_stvk", lame_lambda=1e-6, lame_mu=1e-6)) is study
+    )  # falls out of them

@@ -151,7 +151,7 @@ def test_what_retelling_the_mesh_moved_is_in_doubt():
     """A number that went half a unit because of it may be half a unit off, on either side, beside all else."""
     known, fitted = windows(np.array([0.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=2.0)
     fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
-    told = replace(fit, by_mesh={DRAG: 0.5, PRESSURE: 9.0})
+    told = replace(fit, by_retelling={DRAG: 0.5, PRESSURE: 9.0})
     (_, low, high, _), (_, lower, higher, _) = (intervals(one, None, 3)["mass_damping.rate"] for one in (fit, told))
     assert 2.0 - lower == pytest.approx(np.hypot(2.0 - low, 0.5), rel=1e-6)
     assert higher - 2.0 == pytest.approx(np.hypot(high - 2.0, 0.5), rel=1e-6)
