@@ -60,7 +60,6 @@ def fitted(value: float) -> Fit:
 @pytest.fixture
 def plays(monkeypatch):
     """Fits give what the law says."""
-    monkeypatch.setattr(again, "retold", lambda study, fit, variance, weight: fit)
     monkeypatch.setattr(
         again, "_fitted", lambda study, best, there, variance: again.Again(study, fitted(study.told(study.at)), [])
     )
