@@ -24,7 +24,7 @@ from caphy.effects.model import Model
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
-from caphy.measure.track import registered
+from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
@@ -86,20 +86,22 @@ class _Look:
         return ridged(*self.known.normal, self.ridge)
 
 
-def checked_scene(
-    measurement: Measurement,
+def checked_scenes(
+    measurements: Sequence[Measurement],
     model: Model,
     garment: Garment | None = None,
     body: BodyModel | None = None,
     progress: Progress | None = None,
-) -> Scene:
-    """A measurement's scene, its cloth checked; point clouds are registered with the model's help.
+    crew: Crew | None = None,
+) -> list[Scene]:
+    """The scenes of measurements, their cloth checked; point clouds are registered with the model's help.
 
-    Raises :class:`CaphyError` where the measurement does not fit the cloth.
+    Raises :class:`CaphyError` where a measurement does not fit the cloth.
     """
-    scene = Scene.of(measurement, garment, body)
-    check_cloth(scene)
-    return registered(scene, model, progress)
+    scenes = [Scene.of(measurement, garment, body) for measurement in measurements]
+    for scene in scenes:
+        check_cloth(scene)
+    return all_registered(scenes, model, progress, crew)
 
 
 def base_of(
@@ -113,13 +115,13 @@ def base_of(
     """Learned from base measurements; nothing without any."""
     if not measurements:
         return None
-    scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in measurements]
+    scenes = checked_scenes(measurements, model, garment, body, progress, crew)
     return from_base(Study(scenes, progress=progress, crew=crew), model)
 
 
 def from_base(study: Study, model: Model) -> Base:
     """Learn what a model gets wrong where nothing is missing."""
-    model, changed, free = _put_right(study, model)
+    study, model, changed, free = _put_right(study, model)
     look = _looked(study, model, free, ALL_OF_IT)
     gain, probes = _gains_left(study, look, model)
     errors = np.concatenate([response.error.ravel() for response in look.probed])
@@ -131,22 +133,23 @@ def from_base(study: Study, model: Model) -> Base:
     return Base(*learned, changed, mistaken, gain, probes, median_mm)
 
 
-def _put_right(study: Study, model: Model) -> tuple[Model, dict[str, float], list[Response]]:
+def _put_right(study: Study, model: Model) -> tuple[Study, Model, dict[str, float], list[Response]]:
     """A model whose parameters are not far off, by how much they were moved, relatively, and all windows against it.
 
-    While a stiffness is wrong the mesh's error is told wrongly, and takes a part of it: fits go on until none is asked
-    for.
+    While a stiffness is wrong the mesh's error is told wrongly, and takes a part of it, and clouds are drawn towards
+    cloth that has it: they are registered again, and fits go on until none is asked for.
     """
     changed: dict[str, float] = {}
     for _ in range(_FITS):
         free = _rolled_out(study, model)
         fitted = _fitted(study, _looked(study, model, free, SEEN_OF_IT), model)
         if fitted is None:
-            return model, changed, free
+            return study, model, changed, free
         for column, by in zip(fitted.columns, fitted.change, strict=True):
             changed[column.name] = float((1 + changed.get(column.name, 0.0)) * (1 + by) - 1)
         model = fitted.model
-    return model, changed, _rolled_out(study, model)
+        study = study.registered_by(model)
+    return study, model, changed, _rolled_out(study, model)
 
 
 def _rolled_out(study: Study, model: Model) -> list[Response]:

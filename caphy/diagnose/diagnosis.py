@@ -10,7 +10,7 @@ import numpy as np
 
 from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
-from caphy.diagnose.base import Base, base_of, checked_scene
+from caphy.diagnose.base import Base, base_of, checked_scenes
 from caphy.diagnose.groups import columns_of
 from caphy.diagnose.laws import settle_laws
 from caphy.diagnose.outside import Outside, outside
@@ -141,7 +141,7 @@ def diagnose(
     if not measurements:
         raise CaphyError("give at least one measurement to diagnose")
     every = (*measurements, *held_out)
-    scenes = [checked_scene(measurement, model, garment, body, progress) for measurement in every]
+    scenes = checked_scenes(every, model, garment, body, progress, crew)
     study = Study(scenes[: len(measurements)], progress=progress, crew=crew)
     others = Study(scenes[len(measurements) :], progress=progress, crew=crew) if held_out else None
     known = base if isinstance(base, Base) else base_of(model, base, garment, body, progress, crew)
@@ -184,8 +184,9 @@ def _concluded(
     if terms and not elsewhere.beats and found.fit is not None:
         again = fitted_again(study, found.fit, first.variance)
         if again is not None:
-            found.fit, before = again.fit, again.before
+            found.fit, before, earlier = again.fit, again.before, numbers
             numbers = _coefficients(found, base, len(study.scenes))
+            notes.append(_went(again.times, earlier, numbers))
             errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
     verdict = "nothing"
     if elsewhere.beats:
@@ -220,6 +221,13 @@ def _concluded(
         study=study,
         notes=tuple(notes),
     )
+
+
+def _went(times: int, earlier: Mapping[str, Coefficient], numbers: Mapping[str, Coefficient]) -> str:
+    """What registering clouds again did to numbers, in words."""
+    moved = [f"{name} from {earlier[name].value:.3g} to {number.value:.3g}" for name, number in numbers.items()]
+    often = "once" if times == 1 else f"{times} times"
+    return f"clouds were registered again, {often}, by what was fitted to them; it moved {', '.join(moved)}"
 
 
 def _kept(model: Model, start: Model, terms: Sequence[Term]) -> Model:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -53,6 +53,11 @@ class Rim:
             away < DEPTH + length[:, None],
         )
 
+    @cached_property
+    def _faces(self) -> np.ndarray:
+        """Which faces lie near any edge at rest (F,)."""
+        return np.logical_or.reduce(self.near)
+
     def frames(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Middles (..., E, 3) [m] of the edges of a cloth at x (..., V, 3) [m], unit vectors along them, and out of
         the cloth across them."""
@@ -78,6 +83,8 @@ class Rim:
             face: the face nearest to each (N,).
             noise: standard deviation of a point's coordinate [m].
         """
+        within = self._faces[face]
+        cloud, face = cloud[within], face[within]
         middle, along, out = self.frames(x)
         beside, beyond = (axis @ cloud.T - (axis * middle).sum(1, keepdims=True) for axis in (along, out))
         half = 0.5 * np.linalg.norm(np.diff(x[self.edges], axis=1)[:, 0], axis=1)

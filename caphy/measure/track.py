@@ -78,6 +78,12 @@ class DrawnToPoints(Effect):
         gripped = (e.rest["grip"] * x[None]).sum(1)
         return 0.5 * (dot(x, gripped) + e.rest["prior"] * dot(away, away)) + dot(e.rest["push"] - e.rest["target"], x)
 
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        """In closed form."""
+        (x,) = e.x
+        force = (e.rest["grip"] * x[None]).sum(1) + e.rest["prior"] * (x - e.rest["predicted"])
+        return self.energy(e, p), (force + e.rest["push"] - e.rest["target"])[None]
+
     def hessian(self, e: Elements, p: Values) -> Tensor:
         """Constant and positive semi-definite."""
         return isotropic(e.rest["prior"], e.x) + e.rest["grip"].reshape(1, 3, 1, 3, -1)
@@ -98,19 +104,18 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
     """
     if scene.measurement.vertices is not None:
         return scene
-    tracker = _Tracker(scene, model)
-    vertices, visible, ends = tracker.run(progress)
-    for _ in range(_SIZINGS - 1):
-        change = tracker.size()
-        if np.abs(change).max() < _SAME:
-            break
-        known = model.effects.get(_SIZE) or switched_off(_SIZE)
-        size = np.array([known[way] for way in _WAYS]) + change
-        if np.abs(size).max() > _MOST:
-            break
-        model = model.with_effect(_SIZE, **dict(zip(_WAYS, size, strict=True)))
+    known = model.effects.get(_SIZE) or switched_off(_SIZE)
+    size = own = np.array([known[way] for way in _WAYS])
+    left = _SIZINGS
+    while True:
         tracker = _Tracker(scene, model)
         vertices, visible, ends = tracker.run(progress)
+        left -= 1
+        wanted = size + tracker.size()
+        if not left or np.abs(wanted - size).max() < _SAME or np.abs(wanted).max() > _MOST:
+            break
+        size = wanted
+        model = model.with_effect(_SIZE, **dict(zip(_WAYS, size, strict=True)))
     noise = measurement_noise(scene.measurement)
     measurement = replace(
         scene.measurement,
@@ -120,9 +125,18 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
         offsets=None,
         noise=None,
         noise_mm=None if noise is None else 1e3 * noise.sigma,
-        notes=(*scene.measurement.notes, "registered with the model's help"),
+        notes=(*scene.measurement.notes, "registered with the model's help" + _resized(size - own)),
     )
     return replace(scene, measurement=measurement, ends=ends, cloud=scene.measurement)
+
+
+def _resized(change: np.ndarray) -> str:
+    """By how much cloth was smaller than its model, in words; empty where it was not."""
+    ways = [
+        f"{way} {100 * abs(by):.1f} % {'shorter' if by > 0 else 'longer'}"
+        for way, by in zip(_WAYS, change, strict=True)
+    ]
+    return f", with {' and '.join(ways)} than the model has it" if change.any() else ""
 
 
 class _Tracker:
@@ -223,14 +237,16 @@ class _Tracker:
         x = x.clone()
         if self.scene.pins is not None and self.scene.fixed is not None:
             x[torch.from_numpy(np.flatnonzero(self.scene.fixed))] = self.scene.pins(time)
+        place, share, normal, ends = self._matched(x.numpy(), cloud, reach)
         for _ in range(rounds):
-            place, share, normal, ends = self._matched(x.numpy(), cloud, reach)
             grip, target = _springs(PULL * self.mass * np.minimum(share, 1), normal, place)
             at_rim = self._rim_springs(x.numpy(), ends)
             rest["grip"] = torch.from_numpy(np.ascontiguousarray(np.moveaxis(grip + at_rim[0], 0, -1)))
             rest["target"] = torch.from_numpy(np.ascontiguousarray((target + at_rim[1]).T))
-            x = self.newton.minimise(x, None, body)[0]
-        _, share, _, ends = self._matched(x.numpy(), cloud, reach)
+            last, x = x, self.newton.minimise(x, None, body)[0]
+            if torch.equal(x, last):  # within the solver's tolerance: so it would be in all further rounds
+                break
+            place, share, normal, ends = self._matched(x.numpy(), cloud, reach)
         rest["prior"] = torch.from_numpy(_LOOSE * self.mass)
         self._ask_size(x, ends, body)
         return x, share > 0, ends

@@ -34,11 +34,13 @@ class Again:
         study: the windows of these clouds.
         fit: the model fitted to them.
         before: these windows against the fit's origin.
+        times: how often clouds were registered again.
     """
 
     study: Study
     fit: Fit
     before: list[Response]
+    times: int = 1
 
 
 def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
@@ -48,8 +50,6 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
         best: fitted to the ``study`` as it was registered first.
         variance: of each mode at each lag (L, M) [m^2].
     """
-    if not any(scene.slides for scene in study.scenes):
-        return None
     found, first = None, best
     pairs, there = [(np.zeros_like(best.change), best.change)], best.model
     for _ in range(TIMES):
@@ -67,7 +67,7 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
     if found is None:
         return None
     gone = gone_further(first.by_retelling, best.columns, best.change - first.change)
-    return replace(found, fit=replace(best, by_retelling=gone))
+    return replace(found, fit=replace(best, by_retelling=gone), times=len(pairs) - 1)
 
 
 def _size(change: np.ndarray, metric: np.ndarray) -> float:

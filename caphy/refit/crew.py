@@ -1,14 +1,15 @@
-"""Processes that roll out windows side by side: windows know nothing of each other."""
+"""Processes that register clouds and roll out windows side by side: they know nothing of each other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
+from caphy.measure.track import registered
 from caphy.processes import cores, end_at_ctrl_c, one_thread_each
 from caphy.refit.columns import Column
 from caphy.refit.responses import Response, Watched, watched
@@ -59,10 +61,24 @@ class Crew:
         What they know of the windows of a study ``like`` it, of the same motions, holds.
         """
         self._studies += 1
-        given = [(s.measurement, s.garment, getattr(s.motion, "body", None), s.ends) for s in scenes]
+        given = [(*_bound(s), s.ends) for s in scenes]
         for each in self._each:
             each.submit(_learn, self._studies, given, length, like)
         return self._studies
+
+    def register(self, scenes: Sequence[Scene], model: Model) -> Iterator[tuple[int, Scene]]:
+        """Scenes of clouds as :func:`~caphy.measure.track.registered`, each with its place in ``scenes``, in the order
+        in which they are done.
+
+        Raises:
+            CaphyError: what registering raised, or a process died.
+        """
+        jobs = {
+            self._each[i % len(self._each)].submit(_register, *_bound(scene), model): i
+            for i, scene in enumerate(scenes)
+        }
+        for i, (measurement, ends) in self._done(jobs, "registered clouds"):
+            yield i, replace(scenes[i], measurement=measurement, ends=ends, cloud=scenes[i].measurement)
 
     def respond(
         self,
@@ -78,20 +94,25 @@ class Crew:
         Raises:
             CaphyError: what a window raised, or a process died.
         """
-        found: dict[Future, list[int]] = {}
+        jobs: dict[Future, list[int]] = {}
         for number in sorted({scene for scene, _ in places}):
             for who, each in enumerate(self._each):
                 share = [i for i, place in enumerate(places) if place[0] == number and i % len(self._each) == who]
                 if share:
                     frames = [places[i][1] for i in share]
-                    found[each.submit(_respond, study, number, frames, model, tuple(columns), pushes, anew)] = share
+                    jobs[each.submit(_respond, study, number, frames, model, tuple(columns), pushes, anew)] = share
+        for share, answers in self._done(jobs, "rolled out windows"):
+            yield from zip(share, answers, strict=True)
+
+    def _done(self, jobs: Mapping[Future, Any], what: str) -> Iterator[tuple[Any, Any]]:
+        """What jobs stand for, and what they gave, as they are done."""
         try:
-            for future in as_completed(found):
-                yield from zip(found[future], future.result(), strict=True)
+            for future in as_completed(jobs):
+                yield jobs[future], future.result()
         except BrokenProcessPool as error:
-            raise CaphyError("a process that rolled out windows died; is there memory enough for each core?") from error
+            raise CaphyError(f"a process that {what} died; is there memory enough for each core?") from error
         finally:
-            for future in found:
+            for future in jobs:
                 future.cancel()
 
 
@@ -107,6 +128,18 @@ def _begin(effect_files: Sequence[Path]) -> None:
     torch.set_num_threads(1)
     for file in effect_files:
         register_file(file)
+
+
+def _bound(scene: Scene) -> tuple[Measurement, Garment, BodyModel | None]:
+    """What a scene is made of again in another process."""
+    return scene.measurement, scene.garment, getattr(scene.motion, "body", None)
+
+
+def _register(
+    measurement: Measurement, garment: Garment, body: BodyModel | None, model: Model
+) -> tuple[Measurement, np.ndarray | None]:
+    scene = registered(Scene.of(measurement, garment, body), model)
+    return scene.measurement, scene.ends
 
 
 def _learn(

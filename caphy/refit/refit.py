@@ -14,8 +14,8 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
-from caphy.measure.track import registered
 from caphy.refit.again import fitted_again
+from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, addition, extended, further, moved, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.evidence import evidence, robust_weights
@@ -79,10 +79,11 @@ def refit(
     """
     names = _checked(model, add)
     model = model if learned is None else learned.model
-    scenes = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in measurements]
+    given = [Scene.of(measurement, garment, body) for measurement in (*measurements, *held_out)]
+    given = all_registered(given, model, progress, crew)
+    scenes, apart = given[: len(measurements)], given[len(measurements) :]
     mesh = None if learned is None else learned.mesh
     study = Study(scenes, progress=progress, crew=crew, mesh=mesh)
-    apart = [registered(Scene.of(measurement, garment, body), model, progress) for measurement in held_out]
     proof = Study(apart, progress=progress, crew=crew, mesh=mesh) if apart else _split(study)
     fitted, first, removed = _fitted(study, model, names, learned)
     variance = first.variance

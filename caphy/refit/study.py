@@ -11,8 +11,8 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError, Diverged
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
-from caphy.measure.track import registered
 from caphy.measure.windows import LENGTH
+from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.crew import Crew, Place
 from caphy.refit.evidence import KINDS, Evidence, bounded, estimated_variance, evidence, tamed
@@ -167,9 +167,12 @@ class Study:
 
     def registered_by(self, model: Model) -> Study:
         """The same windows, clouds registered by another model; what is known of them holds. This study itself where
-        that model does not follow its clouds."""
+        that model does not follow its clouds, or there are none."""
+        if not any(scene.slides for scene in self.scenes):
+            return self
         try:
-            scenes = [registered(scene.unregistered, model, self.progress) for scene in self.scenes]
+            clouds = [scene.unregistered for scene in self.scenes]
+            scenes = all_registered(clouds, model, self.progress, self.crew)
             other = Study(scenes, self.length, self.progress, self.crew, self.mesh, self)
         except CaphyError:
             return self

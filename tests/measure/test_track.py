@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +83,10 @@ def test_a_cloud_tells_where_cloth_ends_whatever_the_model_thinks_it_measures(fi
     # its points, and one too small leaves them over.
     away = 1e3 * np.linalg.norm(scene.measurement.vertices - positions, axis=-1)
     assert np.nanmedian(away) < 2.5
+    said, way = scene.measurement.notes[-1], "longer" if shrunk < 0 else "shorter"
+    told = re.findall(r"(weft|warp) ([0-9.]+) % (\w+)", said)
+    assert told == [] if shrunk == 0 else [each[::2] for each in told] == [("weft", way), ("warp", way)]
+    assert all(float(percent) == pytest.approx(4, abs=0.5) for _, percent, _ in told)
 
 
 def test_a_cloud_that_asks_for_an_absurd_size_is_registered_in_the_model_s_own(film, monkeypatch):

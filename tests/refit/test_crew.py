@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from explicit_cloth import measured, simulate
+from explicit_cloth import clouds, measured, seen, simulate
 
 from caphy.diagnose.probes import Probes
 from caphy.effects import registry
@@ -15,6 +16,7 @@ from caphy.effects.model import Model
 from caphy.effects.scaffold import write_scaffold
 from caphy.errors import CaphyError
 from caphy.measure.scene import Scene
+from caphy.refit.clouds import all_registered
 from caphy.refit.columns import addition
 from caphy.refit.crew import Crew
 from caphy.refit.study import Study
@@ -63,3 +65,22 @@ def test_each_process_keeps_to_one_thread(monkeypatch):
         assert only.submit(torch.get_num_threads).result() == 1
         assert only.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
     assert os.environ["OMP_NUM_THREADS"] == "3"
+
+
+def test_clouds_registered_by_a_crew_are_those_of_one_process(scene):
+    """In the order given, the one that needs no registering among them."""
+    measurement, faces = scene.measurement, scene.garment.faces
+    keys = {"faces": faces, "rest_vertices": scene.garment.vertices, "material": scene.garment.material}
+    keys |= {"pinned": measurement.pinned, "pinned_positions": measurement.pinned_positions[:8]}
+    some = [seen(clouds(measurement.vertices[:8], faces, 800, 1e-3, seed), keys, noise_mm=1.0) for seed in (0, 1)]
+    scenes, told = [Scene.of(some[0]), scene, Scene.of(some[1])], []
+    with Crew(size=2) as crew:
+        found = all_registered(scenes, MODEL, lambda *said: told.append(said), crew)
+        with pytest.raises(CaphyError, match="near the first cloud"):
+            all_registered([Scene.of(replace(some[0], points=some[0].points + 1.0))], MODEL, crew=crew)
+    assert found[1] is scene
+    assert told == [("registering", 1, 2), ("registering", 2, 2)]
+    for one, other in zip(found, all_registered(scenes, MODEL), strict=True):
+        assert one.slides == other.slides
+        np.testing.assert_allclose(one.measurement.vertices, other.measurement.vertices, rtol=0, atol=1e-9)
+    assert found[2].unregistered.measurement is some[1]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from explicit_cloth import clouds, seen, simulate
+from explicit_cloth import clouds, measured, seen, simulate
 
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
@@ -41,9 +39,8 @@ def test_a_law_that_meets_nothing_leads_no_farther_than_believed():
 class Law:
     """A study whose clouds tell a number by the law ``told`` of that which they were registered with."""
 
-    def __init__(self, told, at: float = 0.0, slides: bool = True, seen=None) -> None:
+    def __init__(self, told, at: float = 0.0, seen=None) -> None:
         self.told, self.at, self.seen = told, at, [] if seen is None else seen
-        self.scenes, self.starts = [SimpleNamespace(slides=slides)], [list(range(8))]
 
     def registered_by(self, model: Model) -> Law:
         at = float(np.asarray(model.effects[NAME][PARAMETER]))
@@ -84,11 +81,10 @@ def test_where_registering_does_not_matter_it_is_done_once():
     assert found.fit.change == pytest.approx([5.1])
 
 
-@pytest.mark.usefixtures("plays")
 def test_what_was_measured_as_vertices_is_not_registered():
-    clouds = Law(lambda at: 5 + 0.5 * at, slides=False)
-    assert fitted_again(clouds, fitted(5.0), np.ones((1, 1))) is None
-    assert clouds.seen == []
+    study = Study([Scene.of(measured(*simulate(seconds=1.2, settle=2.0)))])
+    assert study.registered_by(MODEL) is study
+    assert fitted_again(study, fitted(5.0), np.ones((1, 1))) is None
 
 
 def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():
