@@ -27,7 +27,8 @@ class Compare:
     """Compare a model with measurements: compare.json with every figure, and compare.html to look at."""
 
     model: tyro.conf.Positional[str]
-    """A physics model's JSON, "snug", a measured fabric's name, or the folder of a trained avatar."""
+    """A physics model's JSON, "snug", a measured fabric's name, or the folder of a trained avatar ("default" is
+    the one that comes along)."""
     measurements: tyro.conf.Positional[tuple[Path, ...]]
     """Measurements: .npz files, folders, or .csv tables of tensile tests; see docs/measurements.md."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
@@ -78,12 +79,15 @@ def write(comparisons: Sequence[Comparison], curves: Sequence[dict], title: str,
 
 
 def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBundle:
-    """The physics model of a JSON file or name, or the avatar in a folder; raises :class:`CaphyError`."""
+    """The physics model of a JSON file or name, or the avatar in a folder or that comes along; raises
+    :class:`CaphyError`."""
+    from caphy.commands.train import bundled
+
     path = Path(name)
-    if path.is_dir():
+    if (folder := bundled(path)).is_dir():
         from caphy.io.bundle import read_bundle
 
-        return read_bundle(path)
+        return read_bundle(folder)
     from caphy.effects.model import Model
     from caphy.effects.presets import fabric_model, snug_model
     from caphy.effects.registry import register_file
@@ -98,8 +102,8 @@ def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBu
     if name in fabric_names():
         return fabric_model(name)
     raise CaphyError(
-        f"there is no model {name!r}: give a physics model's JSON, an avatar's folder, snug, or one of the fabrics "
-        f"{', '.join(fabric_names())}"
+        f"there is no model {name!r}: give a physics model's JSON, an avatar's folder, default (the avatar that comes "
+        f"along), snug, or one of the fabrics {', '.join(fabric_names())}"
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from explicit_cloth import measured, simulate
 
-from caphy.commands.compare import main
+from caphy.commands.compare import load_model, main
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement, write_measurement
@@ -116,3 +116,10 @@ def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys):
     assert "mm off" in capsys.readouterr().out
     with pytest.raises(CaphyError, match="there is no model 'silk'"):
         main(["silk", str(tmp_path / "short.npz"), "-o", str(tmp_path / "out")])
+
+
+def test_the_avatar_that_comes_along_is_compared_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load_model("default").name == "default"
+    with pytest.raises(CaphyError, match="there is no model 'tshirt'"):
+        load_model("tshirt")  # a bundled garment, which is none

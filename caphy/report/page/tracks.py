@@ -14,6 +14,10 @@ STEP_MM = 0.01
 """Resolution of packed errors [mm]."""
 HOLE = -32768
 """Packed error where nothing was measured."""
+AZIMUTH, ELEVATION, FIELD = 0.6, 0.22, 0.62
+"""From where the viewer looks at first, and how much it sees from top to bottom [rad]."""
+MARGIN = 1.05
+"""Times the distance from which all is just seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +78,24 @@ def pack(track: Track) -> dict:
 
 
 def _focus(vertices: np.ndarray, body: np.ndarray | None) -> dict:
-    """What the camera looks at [m]: the whole motion of cloth on pins, or a body, which it follows."""
+    """The camera at first: it sees the whole motion of cloth on pins, or a body, which it follows, in every frame.
+
+    centre [m], distance [m], and azimuth, elevation and field of view from top to bottom [rad].
+    """
     seen = vertices.reshape(1, -1, 3) if body is None else body
-    extent = np.linalg.norm(np.ptp(seen, axis=1), axis=-1).max() if body is not None else np.ptp(seen, axis=1).max()
     centre = 0.5 * (seen[0].min(axis=0) + seen[0].max(axis=0))
-    return {"centre": centre.tolist(), "extent": float(0.8 * extent if body is not None else extent)}
+    around = seen - seen.mean(axis=1, keepdims=True) + (seen[0].mean(axis=0) - centre)
+    (sin_a, sin_e), (cos_a, cos_e) = np.sin([AZIMUTH, ELEVATION]), np.cos([AZIMUTH, ELEVATION])
+    towards, right = np.array([sin_a * cos_e, sin_e, cos_a * cos_e]), np.array([cos_a, 0.0, -sin_a])
+    aside = np.maximum(np.abs(around @ right), np.abs(around @ np.cross(towards, right)))
+    distance = MARGIN * float((around @ towards + aside / np.tan(FIELD / 2)).max())
+    return {
+        "centre": centre.tolist(),
+        "distance": distance,
+        "azimuth": AZIMUTH,
+        "elevation": ELEVATION,
+        "field": FIELD,
+    }
 
 
 def _regions(track: Track) -> np.ndarray:

@@ -222,9 +222,9 @@
     }
 
     home() {
-      const { centre, extent } = this.scene.focus;
+      const { centre, distance, azimuth, elevation } = this.scene.focus;
       const narrow = Math.min(1, this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1));
-      this.camera = { azimuth: 0.6, elevation: 0.22, distance: (0.1 + 1.45 * extent) / narrow, target: [...centre] };
+      this.camera = { azimuth, elevation, distance: distance / narrow, target: [...centre] };
       this.followed = null;
       this.legend();
     }
@@ -247,7 +247,7 @@
       if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
       gl.viewport(0, 0, width, height);
       gl.clearColor(0, 0, 0, 0); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-      const view = orbit(this.camera), projection = perspective(0.62, width / Math.max(height, 1), 0.02, 60);
+      const view = orbit(this.camera), projection = perspective(this.scene.focus.field, width / Math.max(height, 1), 0.02, 60);
       this.matrix = multiply(projection, view);
       gl.uniformMatrix4fv(this.at("view"), false, view); gl.uniformMatrix4fv(this.at("projection"), false, projection);
       const stops = SIGNED[this.find("field").value] ? colours.diverging : colours.sequential;
@@ -318,7 +318,7 @@
     }
     zoom(factor) { this.camera.distance = Math.max(0.1, Math.min(30, this.camera.distance * factor)); this.draw(); }
     pan(dx, dy) {
-      const view = orbit(this.camera), size = this.camera.distance * 0.64 / this.canvas.clientHeight;
+      const view = orbit(this.camera), size = 2 * Math.tan(this.scene.focus.field / 2) * this.camera.distance / this.canvas.clientHeight;
       for (let i = 0; i < 3; i++) this.camera.target[i] += size * (-dx * view[4 * i] + dy * view[4 * i + 1]);
       this.draw();
     }
