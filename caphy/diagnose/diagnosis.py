@@ -188,6 +188,8 @@ def _concluded(
             numbers = _coefficients(found, base, len(study.scenes))
             notes.append(_went(again.times, earlier, numbers))
             errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
+        else:
+            notes += _as_registered_first(study)
     verdict = "nothing"
     if elsewhere.beats:
         verdict = "none of these"
@@ -228,6 +230,14 @@ def _went(times: int, earlier: Mapping[str, Coefficient], numbers: Mapping[str, 
     moved = [f"{name} from {earlier[name].value:.3g} to {number.value:.3g}" for name, number in numbers.items()]
     often = "once" if times == 1 else f"{times} times"
     return f"clouds were registered again, {often}, by what was fitted to them; it moved {', '.join(moved)}"
+
+
+def _as_registered_first(study: Study) -> list[str]:
+    """Why clouds were not registered again, in words; nothing where there are none."""
+    if not any(scene.slides for scene in study.scenes):
+        return []
+    why = study.why_not or "its cloth flies apart"
+    return [f"clouds were not registered again by what was fitted to them: {why}"]
 
 
 def _kept(model: Model, start: Model, terms: Sequence[Term]) -> Model:

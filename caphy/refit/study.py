@@ -69,6 +69,8 @@ class Study:
             raise CaphyError(KINDS)
         self.scenes, self.length, self.progress, self.crew = tuple(scenes), length, progress, crew
         self.mesh = mesh
+        self.why_not = ""
+        """Why its clouds could not be registered by another model, where that was tried."""
         self.watched = watched(scenes, length, None if like is None else like.watched)
         self._expected: list[np.ndarray] | None = None
         self.starts = [each.starts() for each in self.watched]
@@ -167,18 +169,20 @@ class Study:
 
     def registered_by(self, model: Model) -> Study:
         """The same windows, clouds registered by another model; what is known of them holds. This study itself where
-        that model does not follow its clouds, or there are none."""
+        that model does not follow its clouds, which :attr:`why_not` says, or there are none."""
         if not any(scene.slides for scene in self.scenes):
             return self
         try:
             clouds = [scene.unregistered for scene in self.scenes]
             scenes = all_registered(clouds, model, self.progress, self.crew)
             other = Study(scenes, self.length, self.progress, self.crew, self.mesh, self)
-        except CaphyError:
+        except CaphyError as error:
+            self.why_not = str(error)
             return self
         seen = [set(starts) for starts in other.starts]
         kept = [start in seen[number] for number, starts in enumerate(self.starts) for start in starts]
         if sum(kept) < FEWEST:
+            self.why_not = f"only {sum(kept)} of {len(kept)} windows would be left"
             return self
         other.starts = [[s for s in starts if s in there] for starts, there in zip(self.starts, seen, strict=True)]
         if self._expected is not None:

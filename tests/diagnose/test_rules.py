@@ -208,3 +208,14 @@ def test_an_effect_that_is_fitted_on_is_named_once():
     assert found.terms == [terms[2], terms[1]]
     found.accept(Term(Group("gust", (), own=True), SimpleNamespace(share=0.4), {}))
     assert [term.group.label for term in found.terms] == ["gust", "pressure", "parameters of gust"]
+
+
+def test_why_clouds_were_not_registered_again_is_said():
+    def study(slides: bool, why_not: str = "") -> SimpleNamespace:
+        return SimpleNamespace(scenes=[SimpleNamespace(slides=slides)], why_not=why_not)
+
+    assert diagnosis._as_registered_first(study(False)) == []
+    (said,) = diagnosis._as_registered_first(study(True, "only 2 of 15 windows would be left"))
+    assert said.endswith(": only 2 of 15 windows would be left")
+    (said,) = diagnosis._as_registered_first(study(True))
+    assert said.endswith("flies apart")

@@ -107,6 +107,7 @@ def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():
         np.median(np.concatenate([r.error for r in each])) for each in (found.fit.responses, found.before)
     )
     assert median < before
-    assert (
-        study.registered_by(MODEL.with_effect("strain_stvk", lame_lambda=1e-6, lame_mu=1e-6)) is study
-    )  # falls out of them
+    falls_out_of_them = MODEL.with_effect("strain_stvk", lame_lambda=1e-6, lame_mu=1e-6)
+    assert study.why_not == ""
+    assert study.registered_by(falls_out_of_them) is study
+    assert study.why_not != ""
