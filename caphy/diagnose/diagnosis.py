@@ -228,7 +228,7 @@ def _concluded(
 def _went(times: int, earlier: Mapping[str, Coefficient], numbers: Mapping[str, Coefficient]) -> str:
     """What registering clouds again did to numbers, in words."""
     moved = [f"{name} from {earlier[name].value:.3g} to {number.value:.3g}" for name, number in numbers.items()]
-    often = "once" if times == 1 else f"{times} times"
+    often = {1: "once", 2: "twice"}.get(times, f"{times} times")
     return f"clouds were registered again, {often}, by what was fitted to them; it moved {', '.join(moved)}"
 
 
