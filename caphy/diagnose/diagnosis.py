@@ -178,7 +178,7 @@ def _concluded(
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     if terms and (reason := unproven(found.taken, errors, numbers)):
-        notes.append(f"{', '.join(term.group.label for term in terms)} was taken back: {reason}")
+        notes.append(_taken_back(terms, reason))
         terms = []
     before = first.responses
     if terms and not elsewhere.beats and found.fit is not None:
@@ -188,6 +188,10 @@ def _concluded(
             numbers = _coefficients(found, base, len(study.scenes))
             notes.append(_went(again.times, earlier, numbers))
             errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
+            # Clouds registered with it favour it more than the first ones did: here it must hold all the more.
+            if reason := unproven(found.taken, errors, numbers):
+                notes.append(_taken_back(terms, reason))
+                terms, before = [], first.responses
         else:
             notes += _as_registered_first(study)
     verdict = "nothing"
@@ -223,6 +227,10 @@ def _concluded(
         study=study,
         notes=tuple(notes),
     )
+
+
+def _taken_back(terms: Sequence[Term], reason: str) -> str:
+    return f"{', '.join(term.group.label for term in terms)} was taken back: {reason}"
 
 
 def _went(times: int, earlier: Mapping[str, Coefficient], numbers: Mapping[str, Coefficient]) -> str:

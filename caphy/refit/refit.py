@@ -92,18 +92,24 @@ def refit(
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
-    if errors.share < max(PROVEN * fitted.share, LEAST):
-        reason = (
-            f"on held-out measurements the misfit must fall by a third of what it falls by where the model is fitted "
-            f"({100 * fitted.share:.1f} %) and by {100 * LEAST:.0f} %, but falls by {100 * errors.share:.1f} %: "
-            f"{', '.join(kept) or 'the new parameters'} refused"
-        )
-        return Refit(model, (), names, numbers, errors, reason, fitted.share)
-    again = fitted_again(study, fitted, variance)
+    again = None if _refused(errors, fitted) else fitted_again(study, fitted, variance)
     if again is not None:
         fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
         numbers = intervals(fitted, learned, len(study.scenes))
+    if why := _refused(errors, fitted):
+        why = f"{why}: {', '.join(kept) or 'the new parameters'} refused"
+        return Refit(model, (), names, numbers, errors, why, fitted.share)
     return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share)
+
+
+def _refused(errors: HeldOut, fitted: Fit) -> str:
+    """Why a fit does not hold on held-out measurements; empty where it does."""
+    if errors.share >= max(PROVEN * fitted.share, LEAST):
+        return ""
+    return (
+        f"on held-out measurements the misfit must fall by a third of what it falls by where the model is fitted "
+        f"({100 * fitted.share:.1f} %) and by {100 * LEAST:.0f} %, but falls by {100 * errors.share:.1f} %"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from caphy.io.measurements import Measurement, write_measurement
 from caphy.measure.scene import Scene
 from caphy.refit.again import Again
 from caphy.refit.columns import addition
+from caphy.refit.evidence import evidence
 from caphy.refit.heldout import Apart
 from caphy.refit.refit import refit
 from caphy.refit.study import Fit, Study
@@ -242,6 +243,27 @@ def test_what_clouds_tell_is_told_by_those_registered_again(dragged, monkeypatch
         assert held.after_mm == pytest.approx(1e3 * np.nanmedian(errors), rel=1e-3)
     said = f"clouds were registered again, once, by what was fitted to them; it moved {HIDDEN}.rate from"
     assert sentences(found)[-1] == f"Note: {said} {seen_rates[0]:.3g} to {told[0]:.3g}."
+
+
+def test_what_clouds_registered_again_do_not_tell_is_taken_back(dragged, monkeypatch):
+    """As a viscosity that was named where only the time step differed, which came to 0.067 (0 to 0.137) N s/m."""
+
+    def again(study: Study, best: Fit, variance: np.ndarray) -> Again:
+        before = study.respond(best.origin, best.columns)
+        nothing = best.origin.with_effect(HIDDEN, rate=1e-6)
+        told = evidence(before, variance, best.first.weight)
+        return Again(study, replace(best, model=nothing, responses=before, evidence=told), before)
+
+    for module in ("caphy.diagnose.diagnosis", "caphy.refit.refit"):
+        monkeypatch.setattr(f"{module}.fitted_again", again)
+    found = diagnose(MODEL, dragged[:1], held_out=dragged[1:])
+    assert (found.verdict, found.found, found.coefficients) == ("nothing", (), {})
+    assert found.model is MODEL
+    assert any(f"{HIDDEN} was taken back" in note for note in found.notes)
+    assert found.median_mm[0] == found.median_mm[1]
+    refused = refit(MODEL, dragged[:1], (HIDDEN,), dragged[1:])
+    assert refused.kept == () and refused.model is MODEL
+    assert "refused" in refused.reason
 
 
 @pytest.fixture(scope="module")
