@@ -115,10 +115,12 @@ def _answer(diagnosis: Diagnosis) -> str:
     limit = ", ".join(
         f"{name} {value:.2g}" for r in diagnosis.ranking[:3] for name, value in list(r.noticed.items())[:1]
     )
+    least = f"where {100 * diagnosis.needed:.1f} % are needed"
+    if any("was taken back" in note for note in diagnosis.notes):
+        least = "but does not hold, as the notes say"
     return (
         f"Nothing is missing that these measurements could show: the best explanation ({best.label}) takes away "
-        f"{100 * best.gain:.1f} % of the misfit where {100 * diagnosis.needed:.1f} % are needed. Noticed would have "
-        f"been, for example, {limit}."
+        f"{100 * best.gain:.1f} % of the misfit {least}. Noticed would have been, for example, {limit}."
     )
 
 

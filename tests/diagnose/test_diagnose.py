@@ -260,6 +260,7 @@ def test_what_clouds_registered_again_do_not_tell_is_taken_back(named, apart, dr
     assert (found.verdict, found.found, found.coefficients) == ("nothing", (), {})
     assert found.model is MODEL
     assert any(f"{HIDDEN} was taken back" in note for note in found.notes)
+    assert "of the misfit but does not hold, as the notes say." in sentences(found)[0]
     assert found.median_mm[0] == found.median_mm[1]
     refused = refit(MODEL, dragged[:1], (HIDDEN,), dragged[1:])
     assert refused.kept == () and refused.model is MODEL
