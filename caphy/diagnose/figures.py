@@ -116,7 +116,7 @@ def _answer(diagnosis: Diagnosis) -> str:
         f"{name} {value:.2g}" for r in diagnosis.ranking[:3] for name, value in list(r.noticed.items())[:1]
     )
     least = f"where {100 * diagnosis.needed:.1f} % are needed"
-    if any("was taken back" in note for note in diagnosis.notes):
+    if diagnosis.search.terms:  # accepted, and taken back
         least = "but does not hold, as the notes say"
     return (
         f"Nothing is missing that these measurements could show: the best explanation ({best.label}) takes away "

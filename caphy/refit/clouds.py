@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
-from caphy.measure.track import registered
+from caphy.measure.track import Progress, registered
 from caphy.refit.crew import Crew
-
-Progress = Callable[[str, int, int], None]
 
 
 def all_registered(

@@ -11,6 +11,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError, Diverged
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
+from caphy.measure.track import Progress
 from caphy.measure.windows import LENGTH
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
@@ -43,8 +44,6 @@ _LARGE = 0.3  # share of the misfit beyond which roll-outs tell it better than t
 _AT_ODDS = 0.1  # likewise where tangents from either side differ by so much of the misfit
 _ROUGH = 0.05  # of the misfit: what differs between roll-outs of almost the same model, because folds snap
 _FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
-
-Progress = Callable[[str, int, int], None]
 
 
 class Study:
