@@ -60,6 +60,7 @@ class Base(Learned):
         gain: best gain of the library in windows corrected by all the others.
         probes: best gain of flexible forces there.
         median_mm: median distance there.
+        why_not: why its clouds could not be registered again by parameters that were moved, where that failed.
     """
 
     changed: dict[str, float]
@@ -67,6 +68,7 @@ class Base(Learned):
     gain: float
     probes: float
     median_mm: float
+    why_not: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +132,7 @@ def from_base(study: Study, model: Model) -> Base:
     median_mm = 1e3 * float(np.nanmedian(errors))
     motions = np.array([response.scene for response in look.probed])
     learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge, study.mesh or 0.0
-    return Base(*learned, changed, mistaken, gain, probes, median_mm)
+    return Base(*learned, changed, mistaken, gain, probes, median_mm, study.why_not)
 
 
 def _put_right(study: Study, model: Model) -> tuple[Study, Model, dict[str, float], list[Response]]:

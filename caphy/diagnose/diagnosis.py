@@ -174,7 +174,7 @@ def _concluded(
     apart: Apart | None,
     elsewhere: Outside,
 ) -> Diagnosis:
-    first, notes, terms = found.screens[0], [], found.terms
+    first, notes, terms = found.screens[0], _not_by_moved(study, base, apart), found.terms
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     if terms and (reason := unproven(found.taken, errors, numbers)):
@@ -246,6 +246,18 @@ def _as_registered_first(study: Study) -> list[str]:
         return []
     why = study.why_not or "its cloth flies apart"
     return [f"clouds were not registered again by what was fitted to them: {why}"]
+
+
+def _not_by_moved(study: Study, base: Base | None, apart: Apart | None) -> list[str]:
+    """Where clouds could not be registered by the parameters that base measurements moved, and why, in words."""
+    if base is None or not base.changed:
+        return []
+    failed = {"base": base.why_not, "diagnosed": study.why_not, "held-out": apart.study.why_not if apart else ""}
+    return [
+        f"{whose} clouds were not registered again by the parameters that base measurements moved: {why}"
+        for whose, why in failed.items()
+        if why
+    ]
 
 
 def _kept(model: Model, start: Model, terms: Sequence[Term]) -> Model:

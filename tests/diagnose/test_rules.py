@@ -219,3 +219,13 @@ def test_why_clouds_were_not_registered_again_is_said():
     assert said.endswith(": only 2 of 15 windows would be left")
     (said,) = diagnosis._as_registered_first(study(True))
     assert said.endswith("flies apart")
+
+
+def test_clouds_that_moved_parameters_do_not_follow_are_named():
+    moved = SimpleNamespace(changed={"strain_stvk.lame_mu": 1.5}, why_not="frame 3: no face is near")
+    stayed = SimpleNamespace(changed={}, why_not="")
+    study, failed = SimpleNamespace(why_not=""), SimpleNamespace(study=SimpleNamespace(why_not="frame 7: none"))
+    assert diagnosis._not_by_moved(study, None, None) == diagnosis._not_by_moved(study, stayed, failed) == []
+    of_base, held_out = diagnosis._not_by_moved(study, moved, failed)
+    assert of_base.startswith("base clouds") and of_base.endswith("moved: frame 3: no face is near")
+    assert held_out.startswith("held-out clouds") and held_out.endswith("moved: frame 7: none")
