@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import binom
 
 from caphy.effects.model import Model
 from caphy.refit.borrowed import Few, where_few_decide
@@ -22,6 +23,8 @@ SURE = 2.0
 """Standard errors by which the misfit must fall there, at least."""
 FALLS = 0.97
 """Share of itself to which a median error must fall there to be proof enough."""
+BY_CHANCE = 0.05
+"""Of so many windows' medians falling where each may as well rise: below it that is proof too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +49,23 @@ class HeldOut:
     share_error: float
     few: Few | None = None
 
+    @property
+    def chance(self) -> float:
+        """Of at least as many windows' medians falling, where each falls or rises by chance."""
+        fallen = int((self.after < self.before).sum())
+        return float(binom.sf(fallen - 1, len(self.before), 0.5))
+
     def proves(self, share: float) -> bool:
         """Whether what takes away a share of the misfit elsewhere holds here.
 
-        The median error must fall. It falls by 3 %, or the misfit falls by two standard errors, and by a third of that
-        share or nearly so. Where few windows decide it must fall by more than chance gives, and by a third of what it
-        would fall by in these very windows. What is found where nothing is missing rarely does.
+        The median error must fall. It falls by 3 %, or the misfit falls by a third of that share or nearly so, and by
+        two standard errors or in nearly all windows (a sign test of their medians: of five windows, a standard error
+        is hardly known). Where few windows decide the misfit must fall by more than chance gives, and by a third of
+        what it would fall by in these very windows. What is found where nothing is missing rarely does.
         """
         if self.few is None:
-            sure = self.share > SURE * self.share_error and self.share + self.share_error >= PROVEN * share
+            sure = self.share > SURE * self.share_error or self.chance < BY_CHANCE
+            sure = sure and self.share + self.share_error >= PROVEN * share
         else:
             sure = self.share > self.few.chance and self.share >= PROVEN * self.few.promise
         return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)

@@ -121,6 +121,24 @@ def test_what_is_found_must_hold_on_held_out_measurements(errors, believed):
 
 
 @pytest.mark.parametrize(
+    ("fallen", "share", "believed"),
+    [
+        ("+++++", 0.02, True),  # 1 of 32 by chance
+        ("++++", 0.02, False),  # 1 of 16
+        ("++++-", 0.02, False),
+        ("+++++++++-", 0.02, True),
+        ("++++++++--", 0.02, False),  # 5.5 % by chance
+        ("+++++", -0.02, False),  # the misfit rises, by more than its error
+    ],
+)
+def test_an_error_that_falls_in_nearly_all_windows_is_believed(fallen, share, believed):
+    """Of a few windows a standard error is hardly known; the sign test asks how often chance lets so many fall."""
+    after = np.array([2.9 if each == "+" else 3.1 for each in fallen])
+    errors = HeldOut(3.0, 2.95, 1.5, np.full(len(after), 3.0), after, share, 0.015)
+    assert (unproven(0.06, errors, {"mass_damping.rate": Coefficient(1.0, 0.5, 1.5, "1/s")}) == "") is believed
+
+
+@pytest.mark.parametrize(
     ("medians", "kept"),
     [
         ({"both": 2.0, "drag": 2.3, "pressure": 2.6}, ["mass_damping", "pressure"]),
