@@ -36,8 +36,9 @@ def stripes(x: np.ndarray, v: np.ndarray, time: float, cloth: Cloth) -> np.ndarr
 
 def shaker(x: np.ndarray, v: np.ndarray, time: float, cloth: Cloth) -> np.ndarray:
     """Something sewn into one place of the cloth that pulls to and fro at 2.5 Hz."""
-    centre = np.quantile(cloth.vertices, 0.3, axis=0)
-    near = np.exp(-((cloth.vertices - centre) ** 2).sum(1) / (2 * 0.05**2))
+    within = np.quantile(cloth.vertices, 0.3, axis=0)  # of a skirt that is in the air
+    place = cloth.vertices[((cloth.vertices - within) ** 2).sum(1).argmin()]
+    near = np.exp(-((cloth.vertices - place) ** 2).sum(1) / (2 * 0.05**2))
     return np.outer(cloth.mass * near, np.array([3.0, 1.0, 6.0]) * np.sin(2 * np.pi * 2.5 * time))
 
 
