@@ -50,8 +50,8 @@ class HeldOut:
     few: Few | None = None
 
     @property
-    def chance(self) -> float:
-        """Of at least as many windows' medians falling, where each falls or rises by chance."""
+    def sign_test(self) -> float:
+        """Probability of at least as many windows' medians falling, where each falls or rises by chance."""
         fallen = int((self.after < self.before).sum())
         return float(binom.sf(fallen - 1, len(self.before), 0.5))
 
@@ -64,7 +64,7 @@ class HeldOut:
         what it would fall by in these very windows. What is found where nothing is missing rarely does.
         """
         if self.few is None:
-            sure = self.share > SURE * self.share_error or self.chance < BY_CHANCE
+            sure = self.share > SURE * self.share_error or self.sign_test < BY_CHANCE
             sure = sure and self.share + self.share_error >= PROVEN * share
         else:
             sure = self.share > self.few.chance and self.share >= PROVEN * self.few.promise
