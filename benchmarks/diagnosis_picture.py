@@ -62,8 +62,8 @@ def told(row: dict) -> Iterator[Told]:
             hidden = np.asarray(value, dtype=float)
             if not hidden.any():
                 continue
-            keys = [f"{effect}.{name}" + "".join(f"[{','.join(map(str, p))}]" for p in [place] if place)
-                    for place in np.ndindex(hidden.shape)]  # fmt: skip
+            entries = (f"[{','.join(map(str, place))}]" if place else "" for place in np.ndindex(hidden.shape))
+            keys = [f"{effect}.{name}{entry}" for entry in entries]
             found = [numbers.get(key) for key in keys]
             if None in found:
                 continue
