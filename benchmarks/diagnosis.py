@@ -258,12 +258,16 @@ def told_numbers(row: dict) -> Iterator[str]:
     for effect, values in row["answer"]["effects"].items():
         for name, value in values.items():
             for place, one in np.ndenumerate(np.asarray(value, dtype=float)):
-                key = f"{effect}.{name}" + (f"[{','.join(map(str, place))}]" if place else "")
-                told = row["diagnosis"]["coefficients"].get(key)
+                told = row["diagnosis"]["coefficients"].get(key(effect, name, place))
                 if told is not None and (one or told["value"]):
                     missed = "" if told["low"] <= one <= told["high"] else ", missed"
                     span = f"{told['low']:.3g} to {told['high']:.3g}{missed}"
                     yield f"{name}{list(place) or ''} {one:.3g}: {told['value']:.3g} ({span})"
+
+
+def key(effect: str, name: str, place: Sequence[int]) -> str:
+    """What a diagnosis calls a number: an entry of a parameter, or all of it where that is a scalar."""
+    return f"{effect}.{name}" + (f"[{','.join(map(str, place))}]" if place else "")
 
 
 def _kind(row: dict) -> tuple[str, float, int, float]:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from benchmarks.diagnosis import right, rows
+from benchmarks.diagnosis import key, right, rows
 from caphy.challenge.hidden import ONE
 from caphy.register.result import write_text
 
@@ -62,9 +62,7 @@ def told(row: dict) -> Iterator[Told]:
             hidden = np.asarray(value, dtype=float)
             if not hidden.any():
                 continue
-            entries = (f"[{','.join(map(str, place))}]" if place else "" for place in np.ndindex(hidden.shape))
-            keys = [f"{effect}.{name}{entry}" for entry in entries]
-            found = [numbers.get(key) for key in keys]
+            found = [numbers.get(key(effect, name, place)) for place in np.ndindex(hidden.shape)]
             if None in found:
                 continue
             low, middle, high = (np.array([f[end] for f in found]) for end in ("low", "value", "high"))
