@@ -71,6 +71,10 @@ def _run(name: str, rest: list[str]) -> int:
         return 128 + signal.SIGPIPE
     except KeyboardInterrupt:
         return 130
+    except OSError as error:  # a place that cannot be read or written, a full disk
+        if error.strerror is None:
+            raise
+        return _refused(name, f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
 
 
 def _refused(name: str, why: str) -> int:

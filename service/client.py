@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
-from typing import Any
+from typing import Any, Final
 from urllib.parse import quote, urlencode, urlsplit
 
 import numpy as np
@@ -21,6 +21,9 @@ from caphy.io.poses import PoseSequence
 from service.conditioned import HEADER, OFF
 from service.encodings import EncodingName
 from service.protocol import MEDIA_TYPE, FramesRequest, FramesResponse, decode_response, encode_request
+
+PART: Final = 900
+"""Frames that :meth:`Client.frames` sends at once; a service answers 1,800 unless it is set otherwise."""
 
 
 class Client:
@@ -49,8 +52,18 @@ class Client:
         return json.loads(self._ask("GET", f"/avatars/{quote(avatar, safe='')}"))
 
     def frames(self, avatar: str, sequence: PoseSequence, garments: Sequence[str] = ()) -> dict[str, np.ndarray]:
-        """Vertices (T, V, 3) [m] per garment, at the avatar's frame rate, of a motion that starts here."""
-        return dict(self.run(avatar, sequence, garments).vertices)
+        """Vertices (T, V, 3) [m] per garment, at the avatar's frame rate, of a motion that starts here.
+
+        Motions of more than :data:`PART` frames are resampled here and go in parts.
+        """
+        if len(sequence) <= PART:
+            return dict(self.run(avatar, sequence, garments).vertices)
+        whole, states, parts = sequence.resample(self.describe(avatar)["fps"]), None, []
+        for first in range(0, len(whole), PART):
+            answer = self.run(avatar, whole[first : first + PART], garments, states)
+            parts.append(answer.vertices)
+            states = answer.states
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def run(
         self,

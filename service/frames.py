@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.io.poses import PoseSequence
+from caphy.io.poses.sequence import MAX_ANGLE, MAX_DISTANCE
 from caphy.rotations import quaternion_from_axis_angle
 from service.conditioned import Conditioned
 from service.encodings import LABELS, Encoding, JointMotion, Meshes
@@ -21,10 +22,6 @@ from service.protocol import FramesRequest, FramesResponse
 from service.settings import Settings
 from service.settling import run_settling
 
-MAX_ANGLE: Final = 4 * np.pi
-"""Largest rotation of a joint [rad]: more than two turns are degrees, or a mistake."""
-MAX_DISTANCE: Final = 1000.0
-"""Largest translation along an axis [m]: beyond it float32 no longer resolves a tenth of a millimetre."""
 MAX_STATE: Final = 1e6
 FPS_RANGE: Final = (1.0, 1000.0)
 SKELETONS: Final = {
@@ -41,7 +38,8 @@ SKELETONS: Final = {
 class JsonRequest(BaseModel):
     """Body of a request in JSON."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    # strict: true is not one frame a second, and "0.5" is not an angle; whole numbers still are
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
     poses: list[list[list[float]]] = Field(description="axis-angle per frame and SMPL-X joint [rad]: (T, 55, 3)")
     transl: list[list[float]] | None = Field(
@@ -111,10 +109,11 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, state_
         raise Problem(422, "poses: there must be at least one frame")
     answered = answered_frames(request, fps)
     if max(frames, answered) > settings.max_frames:
+        first = "" if request.fps == fps else f"resample it to {fps:g} fps, and if that is still too long "
         raise Problem(
             413,
-            f"at most {settings.max_frames} frames are answered at once, got {frames} at {request.fps:g} fps, "
-            f"which are {answered} at {fps:g}; send the motion in parts and pass each answer's state on",
+            f"at most {settings.max_frames} frames are sent or answered at once, got {frames} at {request.fps:g} fps, "
+            f"which are {answered} at {fps:g}; {first}send the motion in parts and pass each answer's state on",
         )
     if request.state.size not in (0, state_size):
         raise Problem(
@@ -159,7 +158,7 @@ def require_bounded(request: FramesRequest) -> None:
             f"{request.transl[frame, axis]:g} at frame {frame}; are they millimetres?",
         )
     if not (np.abs(request.state) <= MAX_STATE).all():
-        raise Problem(422, "state: must be finite; pass on what the last answer held")
+        raise Problem(422, f"state: must be finite and within {MAX_STATE:g}; pass on what the last answer held")
 
 
 def _is_small(array: np.ndarray, most: float) -> bool:

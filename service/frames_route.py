@@ -22,6 +22,8 @@ JSON_MEDIA_TYPE = "application/json"
 FLOAT_BYTES: Final = 4
 TEXT_BYTES: Final = 10
 """Of a number in JSON, rounded to a hundredth of a millimetre."""
+PARAMETERS: Final = ("garment", "encoding", "normals", "condition")
+"""Of the query."""
 FRAMES_BODY = {
     "requestBody": {
         "required": True,
@@ -69,6 +71,7 @@ async def post_frames(
     settings: Settings = request.app.state.settings
     metrics: Metrics = request.app.state.metrics
     hold = hold_of(request)
+    _require_known(request)
     found = find_avatar(request, avatar)
     engines = found.select(garment)
     sent = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -101,6 +104,13 @@ async def post_frames(
         return PartsResponse(parts, wanted, settings.send_seconds, told)
 
     return await hold.run(work)
+
+
+def _require_known(request: Request) -> None:
+    """Raise Problem for a parameter that is none: ``?garments=`` would be answered as if nothing had been asked."""
+    for name in request.query_params:
+        if name not in PARAMETERS:
+            raise Problem(422, f"{name[:40]!r} is no parameter here; there is {', '.join(PARAMETERS)}")
 
 
 def _answer_type(accept: str, sent: str) -> str:

@@ -10,6 +10,7 @@ import tyro
 
 from caphy.capture.optics import Optics
 from caphy.errors import CaphyError
+from caphy.io.places import writable_folder
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ def main(arguments: list[str]) -> None:
     command = tyro.cli(CaptureSim, args=arguments, prog="caphy capture-sim")
     if command.poses is not None and not command.poses.is_dir():
         raise CaphyError(f"{command.poses}: --poses must be a folder of pose files")
+    writable_folder(command.out)
     plan = Plan(
         seed=command.seed,
         count=command.count,

@@ -11,6 +11,7 @@ import tyro
 
 from caphy.commands.compare import Progress, _write_text
 from caphy.errors import CaphyError
+from caphy.io.places import writable_folder
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def new(command: New) -> None:
         raise CaphyError(f"seed and noise must not be negative, got {command.seed} and {command.noise}")
     if command.points is not None and command.points < 1:
         raise CaphyError(f"--points must be positive, got {command.points}")
+    writable_folder(command.output)
     names = sorted(name for name, hidden in HIDDEN.items() if hidden.acts_in(command.scene))
     hidden = HIDDEN[names[int(np.random.default_rng([command.seed, 7]).integers(len(names)))]]
     with Progress("simulating") as progress:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.places import writable_folder
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
@@ -50,6 +51,7 @@ def main(arguments: list[str]) -> None:
         raise CaphyError("give at least one measurement")
     if command.window < 1:
         raise CaphyError(f"--window must be at least one frame, got {command.window}")
+    writable_folder(command.output)
     tables = [path for path in command.measurements if path.suffix == ".csv"]
     curves = [_compared_curves(command, path) for path in tables]
     comparisons = [_compared(command, path) for path in command.measurements if path not in tables]

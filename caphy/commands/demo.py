@@ -17,6 +17,7 @@ import numpy as np
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.places import writable_folder
 
 if TYPE_CHECKING:
     from caphy.io.poses import PoseSequence
@@ -45,6 +46,7 @@ def main(arguments: list[str]) -> None:
     from service.client import Client
     from service.settings import BUNDLED_AVATARS
 
+    writable_folder(command.out).mkdir(parents=True, exist_ok=True)
     folder = command.avatar or BUNDLED_AVATARS / "default"
     bundle = read_bundle(folder)
     motion = _motion(command, bundle.fps)
@@ -93,7 +95,6 @@ def _write(out: Path, bundle, motion: PoseSequence, vertices: dict[str, np.ndarr
     from export.glb import animated_glb
     from export.sheet import motion_sheet
 
-    out.mkdir(parents=True, exist_ok=True)
     made = animated_glb(bundle, motion.poses, motion.transl, vertices)
     partial = out / "avatar.glb.partial"
     partial.write_bytes(made.content)

@@ -14,6 +14,7 @@ import tyro
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text, load_model
 from caphy.errors import CaphyError
+from caphy.io.places import writable_folder
 
 if TYPE_CHECKING:
     from caphy.diagnose.diagnosis import Diagnosis
@@ -48,6 +49,7 @@ class Diagnose:
 def main(arguments: list[str]) -> None:
     """Run ``caphy diagnose`` with the arguments after it."""
     command = tyro.cli(Diagnose, args=arguments, prog="caphy diagnose")
+    writable_folder(command.output)
     model = physics_model(command.model, command.effect_file)
     tables = [path for path in command.measurements if path.suffix == ".csv"]
     if tables and len(tables) < len(command.measurements):
@@ -108,7 +110,7 @@ def write(diagnosis: Diagnosis, command: Diagnose) -> None:
         print(f"next: {shlex.join(following)}")
 
 
-def next_command(verdict: str, found: Sequence[str], command: Diagnose) -> list[str]:
+def next_command(verdict: str, found: Sequence[str], command: Diagnose, refitted: str = "refitted.json") -> list[str]:
     """What to run after a diagnosis, as arguments; nothing where nothing is left to do.
 
     Effects that were found are added and fitted; parameters that were off have been fitted already, and how far the
@@ -123,7 +125,7 @@ def next_command(verdict: str, found: Sequence[str], command: Diagnose) -> list[
     if found:
         added = [argument for name in found for argument in ("--add", name)]
         options = {"base": command.base, "held-out": command.held_out, **scene}
-        return ["caphy", "refit", command.model, *files, *added, *_options(options, command.output / "refitted.json")]
+        return ["caphy", "refit", command.model, *files, *added, *_options(options, command.output / refitted)]
     if verdict == "parameters":
         model = str(command.output / "model.json")
         shown = [*map(str, command.held_out)] or files  # nothing was fitted to the former
@@ -165,4 +167,8 @@ def _page(diagnosis: Diagnosis, told: dict, command: Diagnose) -> str:
 def _diagnose_curves(command: Diagnose, model: Model) -> None:
     from caphy.tensile.run import diagnose_tables
 
-    diagnose_tables(model, command.measurements, command.output, command.held_out)
+    answer = diagnose_tables(model, command.measurements, command.output, command.held_out)
+    if answer.verdict in ("named", "none of these"):
+        found = [*answer.found, *answer.found_used]
+        following = next_command("named", found, command, "refitted") if found else ["caphy", "effects", "new", "NAME"]
+        print(f"next: {shlex.join(following)}")

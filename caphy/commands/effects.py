@@ -187,15 +187,21 @@ def _check(names: tuple[str, ...]) -> int:
 
     failures = 0
     for name in names:
-        find_effect(name)
+        lacks = find_effect(name).lacks
         for check in CHECKS:
+            why, verdict = lacks.get(check.__name__), "ok"
             try:
                 check(name)
-                verdict = "ok"
+                if why is not None:
+                    failures, verdict = failures + 1, f"FAILED  has what it says that it lacks ({why})"
             except Exception as error:
-                failures += 1
-                kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
-                verdict = f"FAILED  {kind}{error}"
+                if why is not None and isinstance(error, AssertionError):
+                    verdict = f"lacks it, as it says: {why}"
+                else:
+                    kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
+                    failures, verdict = failures + 1, f"FAILED  {kind}{error}"
             print(f"{name}  {check.__name__.replace('_', ' ')}: {verdict}")
     print(f"{failures} of {len(names) * len(CHECKS)} failed" if failures else "all passed")
+    if failures:
+        print('what an effect rightly lacks it may say: lacks = {"same_in_every_frame": "the wind has a direction"}')
     return 1 if failures else 0

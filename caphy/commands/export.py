@@ -48,6 +48,8 @@ class Export:
 def main(arguments: list[str]) -> None:
     """Run ``caphy export`` with the arguments after it."""
     command = tyro.cli(Export, prog="caphy export", args=arguments)
+    if command.format == "bundle" and command.poses is not None:
+        raise CaphyError("--poses is a motion for other programs; say which with --format glb, usd, pc2 or obj")
     if command.format == "bundle" and len(command.runs) == 1 and (command.runs[0] / MANIFEST).is_file():
         _export_again(command)
     elif command.format == "bundle":

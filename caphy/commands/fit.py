@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.places import writable_folder
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def main(arguments: list[str]) -> int:
     """Run ``caphy fit`` with the arguments after it; 1 if the run is complete but for something told."""
     options = tyro.cli(Fit, args=arguments, prog="caphy fit")
     _check(options)
+    writable_folder(options.output)
 
     from caphy.commands.fit_scans import left_out
     from caphy.commands.fit_stages import AVATAR, PAGE, Plan, stages
@@ -85,6 +87,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _check(options: Fit) -> None:
+    from caphy.commands.fit_scans import SCANS
     from caphy.material.fabrics import fabric
 
     for name in ("minutes", "steps", "fabric_rounds", "collision_epochs"):
@@ -105,3 +108,8 @@ def _check(options: Fit) -> None:
         raise CaphyError(f"{options.output}: must be a folder to write into, got a file")
     if options.output.resolve().is_relative_to(options.scans.resolve()):
         raise CaphyError(f"{options.output}: must not lie within the folder of the scans, which is only read")
+    if options.scans.resolve().is_relative_to((options.output / SCANS).resolve()):
+        raise CaphyError(
+            f"{options.scans}: lies where the run puts scans of its own, in metres and y up; give another folder "
+            f"with -o, such as {options.output / 'run'}"
+        )

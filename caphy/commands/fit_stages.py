@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,6 +78,7 @@ def stages(plan: Plan, count: int) -> list[Stage]:
         Stage(
             "garments", "choosing the garments' templates", lambda: _garments(plan),
             inputs=(*labelled, run / "body.npz"), outputs=(run / "garments.json",),
+            whole=lambda: all((run / f"{kind}.npz").is_file() for kind in kinds(run)),
             options={"body": plan.body, "fabric": plan.fabric}, seconds=180,
         ),
         Stage(
@@ -135,7 +137,7 @@ def kinds(run: Path) -> list[str]:
 def _command(name: str, *arguments: str | Path, processes: int = 1) -> None:
     """Run a command as a user would; its line goes into the log."""
     words = [str(argument) for argument in arguments]
-    print(f"$ caphy {name.replace('_', '-')} {' '.join(words)}", flush=True)
+    print(f"$ {shlex.join(['caphy', name.replace('_', '-'), *words])}", flush=True)
     if processes > 1:
         status = run_shared([name, *words], processes)
     else:

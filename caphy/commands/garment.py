@@ -14,6 +14,7 @@ from caphy.body.bundled import default_body
 from caphy.body.model import BodyModel
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
+from caphy.io.places import writable_file
 
 if TYPE_CHECKING:
     from caphy.garment.landmarks import Landmarks
@@ -78,7 +79,7 @@ def _maker(kind: type) -> Callable[..., None]:
         from caphy.garment.families import make
 
         garment = make(options, _body(body), np.array(betas) if betas else None)
-        garment.save(output)
+        garment.save(writable_file(output))
         print(f"{output}: {len(garment.vertices)} vertices, {len(garment.faces)} faces")
 
     run.__doc__ = kind.__doc__
@@ -160,7 +161,7 @@ def from_mesh(
         layer_thickness=layer_thickness,
         provenance={"file": file.name, **{key: str(value) for key, value in asdict(options).items()}},
     )
-    garment.save(output)
+    garment.save(writable_file(output))
     print(f"{output}: {garment.name}")
     _describe(mesh, marks, garment.provenance["metric"])
 
@@ -187,7 +188,7 @@ def render(garments: Positional[tuple[Path, ...]], output: Output, body: Path | 
         shapes.append(Shape(garment.vertices, garment.faces, CLOTH[i % len(CLOTH)]))
     points = np.concatenate([shape.vertices for shape in shapes[1:]])
     views = [draw(shapes, Camera.framing(points, azimuth=a, elevation=8.0)) for a in (0.0, 45.0, 90.0, 180.0)]
-    print(write_png(contact_sheet(views, 4), output))
+    print(write_png(contact_sheet(views, 4), writable_file(output)))
 
 
 def _read(file: Path, options: MeshOptions, body: Path | None, betas: Betas) -> tuple[UserMesh, Landmarks]:

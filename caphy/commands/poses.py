@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.places import writable_file, writable_folder
 from caphy.io.poses import PoseSequence, read_poses, write_poses
 
 Files = Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -147,7 +148,7 @@ def _targets(command: Convert | Condition) -> list[tuple[Path, Path]]:
     targets = [command.out / f"{path.stem}.npz" for path in command.files]
     if len(set(targets)) != len(targets):
         raise CaphyError("two files have the same name; convert them into different folders with --out")
-    command.out.mkdir(parents=True, exist_ok=True)
+    writable_folder(command.out).mkdir(parents=True, exist_ok=True)
     pairs = list(zip(command.files, targets, strict=True))
     for path, target in pairs:
         if target.exists() and path.exists() and target.samefile(path):
@@ -189,6 +190,9 @@ def _convert(command: Convert) -> None:
 def _render(command: Render) -> None:
     from caphy.report.render import contact_sheet, write_png
 
+    if command.frames < 1 or command.size < 16:
+        raise CaphyError(f"--frames must be at least 1 and --size 16, got {command.frames} and {command.size}")
+    writable_file(command.out).parent.mkdir(parents=True, exist_ok=True)
     images, labels = [], []
     for path in command.files:
         sequence = command.source.read(path)

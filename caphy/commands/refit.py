@@ -12,6 +12,7 @@ from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text
 from caphy.commands.diagnose import physics_model
 from caphy.errors import CaphyError
+from caphy.io.places import writable_file, writable_folder
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
@@ -51,10 +52,12 @@ def main(arguments: list[str]) -> None:
     if all(path.suffix == ".csv" for path in command.measurements):
         from caphy.tensile.run import refit_tables
 
+        writable_folder(command.output)
         refit_tables(model, command.measurements, command.output, command.held_out, command.add)
         return
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")
+    writable_file(command.output)
     _refit(command, model)
 
 

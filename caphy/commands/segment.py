@@ -44,15 +44,30 @@ def main(arguments: list[str]) -> int:
     command = tyro.cli(Segment, args=arguments, prog="caphy segment")
     scans = ScanSet.read(command.scans)
     out = command.out or command.scans / "labels"
+    by_itself = out.resolve() == (scans.labels or command.scans / "labels").resolve()
+    _require_apart(command, scans, out, by_itself)
     method = _method(command, scans)
     failed = _segment_all(scans, out, method)
     done = len(scans) - len(failed)
     print(f"{out}: labels of {done} of {len(scans)} scans")
+    if not by_itself:
+        print(f"next: give --labels {out} to what reads them")
     if command.render is not None and done:
         print(_sheet(command.render, ScanSet.read(command.scans, out), set(failed)))
     if not done:
         raise CaphyError(f"{command.scans}: no scan could be segmented; see the messages above")
     return 0 if not failed else 1
+
+
+def _require_apart(command: Segment, scans: ScanSet, out: Path, by_itself: bool) -> None:
+    """Raise CaphyError where labels would be read and written in one place, or be given another meaning there."""
+    if command.parser == "labels" and scans.labels is not None and scans.labels.resolve() == out.resolve():
+        raise CaphyError(f"{out}: holds the labels to work on; give another folder to write into with --out")
+    if by_itself and scans.label_numbers is not None:
+        raise CaphyError(
+            f"{out}: the label_numbers of scans.toml would be applied to what is written there; give another folder "
+            "with --out, and the same one with --labels to what reads it"
+        )
 
 
 def _segment_all(scans: ScanSet, out: Path, method: Callable[[Scan], np.ndarray]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.places import writable_file
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,11 @@ def main(arguments: list[str]) -> None:
     command = tyro.cli(Simulate, args=arguments, prog="caphy simulate")
     if command.substeps < 1:
         raise CaphyError(f"--substeps must be at least 1, got {command.substeps}")
+    if command.seconds is not None and not command.seconds > 0:
+        raise CaphyError(f"--seconds must be positive, got {command.seconds:g}")
+    for path in (command.out, command.render):
+        if path is not None:
+            writable_file(path).parent.mkdir(parents=True, exist_ok=True)
     if command.fabric is not None and command.model is not None:
         raise CaphyError("--fabric and --model exclude each other; give one of them")
     _simulate(command)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.places import writable_folder
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
@@ -95,6 +96,7 @@ def main(arguments: list[str]) -> int | None:
     """Entry point of ``caphy train``."""
     options = tyro.cli(Train, args=arguments, prog="caphy train", config=(tyro.conf.OmitArgPrefixes,))
     _check(options)
+    writable_folder(options.output)
     import torch.distributed as dist
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
@@ -137,7 +139,7 @@ def _check(options: Train) -> None:
         raise CaphyError("--worn, --outermost and --lambda-3d go with --scans")
     for name in ("minutes", "steps", "lambda_3d"):
         value = getattr(options, name)
-        if value is not None and value <= 0:
+        if value is not None and not value > 0:
             raise CaphyError(f"--{name.replace('_', '-')} must be positive, got {value}")
     if (options.output / "checkpoint.safetensors").exists() and not options.resume:
         raise CaphyError(f"{options.output} holds a training already: add --resume, or give another folder with -o")
@@ -204,6 +206,8 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     schedule = Schedule(options.steps, minutes)
     scans = _scans(options, garment, objective, network)
     trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed, scans=scans)
+    if options.resume and record:
+        _require_same(options, garment, trained)
     if trainer.rank == 0 and record:
         _record(options, shape, initial, garment, model, trained, held_out)
         _tell(trainer, garment, initial, trained, held_out)
@@ -259,18 +263,19 @@ def reopen(folder: Path) -> Trainer:
     path = folder / OPTIONS
     try:
         given = json.loads(path.read_text())
-        options = Train(**{f.name: _option(f.type, given[f.name]) for f in fields(Train) if f.name in given})
+        known = [f for f in fields(Train) if f.name in given]
+        options = Train(**{f.name: _option(f.type, given[f.name], folder.resolve()) for f in known})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
     on = replace(options, output=folder, init=folder, transfer=None, fabric=None, model=folder / "model.json")
     return prepare(on, record=False)
 
 
-def _option(kind: Any, value: Any) -> Any:
-    """An option read from JSON, where paths are text and tuples are lists."""
+def _option(kind: Any, value: Any, folder: Path) -> Any:
+    """An option read from a folder's JSON, where paths are text, maybe relative to it, and tuples are lists."""
     if isinstance(value, list):
-        return tuple(_option(kind, one) for one in value)
-    return Path(value) if isinstance(value, str) and "Path" in str(kind) else value
+        return tuple(_option(kind, one, folder) for one in value)
+    return Path(os.path.normpath(folder / value)) if isinstance(value, str) and "Path" in str(kind) else value
 
 
 def _found(options: Train) -> Train:
@@ -312,12 +317,56 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
     extra = [procedural_motion(seed, 20.0, FPS) for seed in range(MADE_UP, MADE_UP + options.made_up)]
     if options.held_out:
         unseen = find_poses(options.held_out)
-        names = {clip.source for clip in unseen}
-        return [clip for clip in clips if clip.source not in names] + extra, unseen
-    if len(clips) == 1:
-        cut = max(1, int(0.8 * len(clips[0])))
-        return [clips[0][:cut], *extra], [clips[0][cut:] if cut < len(clips[0]) else clips[0]]
-    return [clip for i, clip in enumerate(clips) if i % 6 != 5] + extra, clips[5::6] or clips[-1:]
+        names = {Path(clip.source).resolve() for clip in unseen}
+        trained = [clip for clip in clips if Path(clip.source).resolve() not in names] + extra
+        if not trained:
+            raise CaphyError("all motions are held out, so there is none to train on; give others")
+        return trained, unseen
+    if len(clips) < 6:
+        last, cut = clips[-1], max(1, int(0.8 * len(clips[-1])))
+        return [*clips[:-1], last[:cut], *extra], [last[cut:] if cut < len(last) else last]
+    return [clip for i, clip in enumerate(clips) if i % 6 != 5] + extra, clips[5::6]
+
+
+def _told(options: Train) -> dict[str, Any]:
+    """Options ready for JSON; paths within the run that the folder is two levels down in are relative to the folder,
+    so that the run may be moved."""
+    folder = options.output.resolve()
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return [plain(one) for one in value]
+        if not isinstance(value, Path):
+            return value
+        within = value.resolve().is_relative_to(folder.parents[min(1, len(folder.parents) - 1)])
+        return os.path.relpath(value.resolve(), folder) if within else str(value.resolve())
+
+    return {field.name: plain(getattr(options, field.name)) for field in fields(Train)}
+
+
+def _require_same(options: Train, garment: Garment, trained: list[PoseSequence]) -> None:
+    """Raise CaphyError where a training would go on otherwise than it began: its record would be wrong of one part."""
+    from caphy.garment.template import Garment
+
+    try:
+        before = json.loads((options.output / OPTIONS).read_text())
+        clips = json.loads((options.output / "run.json").read_text())["trained_on"]
+        worn = Garment.load(options.output / "garment.npz")
+    except (OSError, ValueError, KeyError, CaphyError):
+        return  # nothing was begun there, which the checkpoint's absence tells
+    now = _told(options)
+    may = {"resume", "output", "minutes", "steps", "device", "poses", "garment", "effect_file"}
+    other = [name for name in now if name not in may and name in before and now[name] != before[name]]
+    if other:
+        name = other[0]
+        what = f"with --{name.replace('_', '-')} {before[name]}, not {now[name]}"
+    elif worn.vertices.shape != garment.vertices.shape or not (worn.faces == garment.faces).all():
+        what = f"on another garment, of {len(worn.vertices)} vertices"
+    elif clips != [Path(clip.source).name for clip in trained]:
+        what = f"on other motions, {len(clips)} in all, not {len(trained)}"
+    else:
+        return
+    raise CaphyError(f"{options.output}: was begun {what}; go on with the same, or begin anew in another folder")
 
 
 def _record(
@@ -327,8 +376,7 @@ def _record(
     """Put beside the network what the export needs, and what a reader wants to know of its making."""
     garment.save(options.output / "garment.npz")
     (options.output / "model.json").write_text(model.to_json() + "\n")
-    told = {field.name: getattr(options, field.name) for field in fields(Train)}
-    (options.output / OPTIONS).write_text(json.dumps(told, indent=2, default=lambda path: str(Path(path).resolve())))
+    (options.output / OPTIONS).write_text(json.dumps(_told(options), indent=2))
     record = {
         "format": "caphy-run-1",
         "fps": FPS if initial is None else initial.network.fps,

@@ -12,12 +12,16 @@ from caphy.rotations import quaternion_from_matrix
 
 LEAST_TRUST: Final = 0.05
 """Confidence below which a joint counts as not seen."""
+_ROUNDING: Final = 1e-3
 
 
 def checked(
     poses: np.ndarray | None, transl: np.ndarray | None, confidence: np.ndarray | float | None
 ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray]:
-    """Arrays of the right shapes; joints with values that are not finite are not trusted."""
+    """Arrays of the right shapes; joints with values that are not finite are not trusted.
+
+    Raises CaphyError for other shapes, and for confidences that are no shares, such as percent.
+    """
     if poses is None:
         return None, None, np.zeros(JOINT_COUNT)
     poses = np.array(poses, np.float64)
@@ -26,7 +30,11 @@ def checked(
     trust = np.ones(JOINT_COUNT) if confidence is None else np.array(confidence, np.float64)
     if trust.shape not in ((), (JOINT_COUNT,)):
         raise CaphyError(f"confidence must be one number or ({JOINT_COUNT},), got shape {trust.shape}")
-    trust = np.broadcast_to(np.clip(np.nan_to_num(trust, nan=0.0), 0, 1), JOINT_COUNT)
+    trust = np.nan_to_num(trust, nan=0.0)
+    if trust.min() < -_ROUNDING or trust.max() > 1 + _ROUNDING:
+        got = trust.max() if trust.max() > 1 + _ROUNDING else trust.min()
+        raise CaphyError(f"confidence must lie between 0, not seen, and 1, sure, got {got:g}")
+    trust = np.broadcast_to(np.clip(trust, 0, 1), JOINT_COUNT)
     bad = ~np.isfinite(poses).all(axis=1)
     poses[bad] = 0.0
     trust = np.where(bad | (trust < LEAST_TRUST), 0.0, trust)

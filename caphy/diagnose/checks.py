@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.garment.topology import edges
+from caphy.io.measurements import Measurement
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 
 _SIZE = (0.6, 1.6)  # median length of an edge over its rest length
 _SPREAD = 2.5  # ratio of the 90th to the 10th percentile of the same
+_SAME = 1.1  # ratio of edges at rest up to which two measurements may be of one cloth
 _STILL = 6.0  # standard deviations of the noise that cloth must move in two frames to tell their order
 _TURNS = 0.85  # step to the next frame over step to the one after: 0.5 on a straight path, 1 for shuffled frames
 
@@ -23,6 +28,49 @@ def check_cloth(scene: Scene) -> None:
     where = scene.measurement.source or scene.measurement.name
     _check_edges(vertices, scene, where)
     _check_order(vertices, scene, where)
+
+
+def require_one_cloth(**parts: Sequence[Measurement]) -> None:
+    """Raises :class:`CaphyError` where measurements are of several cloths, or one of them is in two parts.
+
+    ``parts`` are named as people call them, the first of them being what is diagnosed.
+    """
+    named = [(part.replace("_", "-"), measurement) for part, them in parts.items() for measurement in them]
+    of: dict[str, Any] = {"faces": None}
+    for number, (part, measurement) in enumerate(named):
+        where = measurement.source or measurement.name
+        for other, before in named[:number]:
+            if other != part and _same(measurement, before):
+                raise CaphyError(
+                    f"{where}: is the {part} measurement, and {before.source or before.name}, the {other} one, holds "
+                    "the same frames; what was learned or fitted there proves nothing here: give another motion"
+                )
+        if measurement.rest_vertices is None or measurement.faces is None:
+            continue
+        if of["faces"] is None:
+            of = {"faces": measurement.faces, "lengths": _lengths(measurement), "where": where}
+            continue
+        if not np.array_equal(of["faces"], measurement.faces):
+            raise CaphyError(f"{where}: must be of the cloth of {of['where']}, but has other faces")
+        ratio = _lengths(measurement) / of["lengths"]
+        low, high = np.quantile(ratio, (0.1, 0.9))
+        if not 1 / _SAME < low <= high < _SAME:
+            raise CaphyError(
+                f"{where}: must be of the cloth of {of['where']}, but its edges at rest are {low:.2g} to {high:.2g} "
+                "times as long"
+            )
+
+
+def _same(one: Measurement, other: Measurement) -> bool:
+    first, second = (m.points if m.vertices is None else m.vertices for m in (one, other))
+    return first is not None and second is not None and np.array_equal(first, second, equal_nan=True)
+
+
+def _lengths(measurement: Measurement) -> np.ndarray:
+    """Of edges at rest [m]."""
+    assert measurement.rest_vertices is not None and measurement.faces is not None
+    a, b = edges(measurement.faces).T
+    return np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=-1)
 
 
 def _check_edges(vertices: np.ndarray, scene: Scene, where: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
 from caphy.diagnose.base import Base, base_of, checked_scenes
+from caphy.diagnose.checks import require_one_cloth
 from caphy.diagnose.groups import columns_of
 from caphy.diagnose.laws import settle_laws
 from caphy.diagnose.outside import Outside, outside
@@ -140,6 +141,7 @@ def diagnose(
     began = time.perf_counter()
     if not measurements:
         raise CaphyError("give at least one measurement to diagnose")
+    require_one_cloth(diagnosed=measurements, base=() if isinstance(base, Base) else base, held_out=held_out)
     every = (*measurements, *held_out)
     scenes = checked_scenes(every, model, garment, body, progress, crew)
     study = Study(scenes[: len(measurements)], progress=progress, crew=crew)

@@ -178,6 +178,7 @@ class Effect:
         coefficients: the parameters that leave exactly nothing of the effect when all are zero, so that it can be
             tried as an addition to any model; unless said, those in which the energy is linear.
         internal: exerts no net force and no net torque.
+        lacks: properties of the battery (names of :data:`caphy.effects.battery.CHECKS`) that it rightly lacks, and why.
         abrupt: the first bit of its coefficient does what more of it would, as dry friction, which stops what would
             slide: responses to it, where it is off, are told by a roll-out with the default instead of a tangent. Where
             a solver's steps go too far it mixes in :meth:`projected_hessian`.
@@ -199,6 +200,7 @@ class Effect:
     group: ClassVar[Group] = "other"
     coefficients: ClassVar[tuple[str, ...]] = ()
     internal: ClassVar[bool] = False
+    lacks: ClassVar[Mapping[str, str]] = {}
     abrupt: ClassVar[bool] = False
     needs_step: ClassVar[bool] = False
     reads_step: ClassVar[bool] = False

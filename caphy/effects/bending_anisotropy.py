@@ -20,6 +20,7 @@ class BendingAnisotropy(Hinge):
     """
 
     name = "bending_anisotropy"
+    lacks = {"projection_is_semidefinite": "a constant or negative moment has a Gauss-Newton Hessian of zero"}
     group = "stiffness"
     parameters = {"difference": Parameter(1e-5, "N m", -1.0, 1.0, doc="half of weft's k less warp's")}
     reference = "Wang, O'Brien, Ramamoorthi, Data-driven elastic models for cloth, SIGGRAPH 2011; CaPhy eq. 8"

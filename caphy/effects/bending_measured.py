@@ -25,6 +25,7 @@ class BendingMeasured(Hinge):
     """
 
     name = "bending_measured"
+    lacks = {"units_fit": "its table is measured at fixed curvatures in 1/m"}
     group = "stiffness"
     parameters = {
         "bending": Parameter(

@@ -19,6 +19,7 @@ class ExtraMass(Mass):
     """
 
     name = "extra_mass"
+    lacks = {"same_in_every_frame": "weight: the world has an up"}
     parameters = {"density": Parameter(0.05, "kg/m^2", -10.0, 10.0, doc="extra area density")}
     reference = "Newton 1687; for water in cloth: Huber, Pabst, Strasser, Wet cloth simulation, 2011"
 

@@ -16,6 +16,7 @@ class Gravity(Effect):
     """Weight of the cloth, E = -m g.x [J]."""
 
     name = "gravity"
+    lacks = {"same_in_every_frame": "the world has an up"}
     element = "vertex"
     group = "external"
     parameters = {"acceleration": Parameter(GRAVITY, "m/s^2", -100.0, 100.0, doc="acceleration of free fall")}

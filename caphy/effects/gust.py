@@ -21,6 +21,7 @@ class Gust(Air):
     """
 
     name = "gust"
+    lacks = {"same_in_every_frame": "the wind blows in a direction of the world"}
     group = "wind"
     power = 0
     # In T seconds frequencies differ that are 1 / T apart, and a fit reaches a third of that: enough for 3 seconds.

@@ -20,6 +20,7 @@ class HeavyHem(Mass):
     """
 
     name = "heavy_hem"
+    lacks = {"same_in_every_frame": "weight: the world has an up"}
     parameters = {
         "line_density": Parameter((0.004, 0.0, 0.0, 0.0), "kg/m", 0.0, 10.0, doc="extra mass, lowest opening first")
     }

@@ -19,6 +19,7 @@ class MassGradient(Mass):
     """
 
     name = "mass_gradient"
+    lacks = {"same_in_every_frame": "weight: the world has an up"}
     parameters = {"gradient": Parameter(0.2, "kg/m^3", -100.0, 100.0, doc="area density gained per metre downwards")}
     reference = "Newton, Philosophiae naturalis principia mathematica, 1687"
 

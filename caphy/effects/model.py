@@ -124,7 +124,10 @@ class Model:
             history = tuple(Revision.from_dict(entry) for entry in data.get("history", ()))
             return cls(float(data["density_kg_per_m2"]), data["effects"], history)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise CaphyError(f"{source}: not a physics model: {error!r}; see 'caphy effects show'") from error
+            raise CaphyError(
+                f"{source}: not a physics model ({type(error).__name__}: {error}); it must be JSON with "
+                '"density_kg_per_m2": number and "effects": {name: {parameter: value}}; see caphy effects show'
+            ) from error
         except CaphyError as error:
             raise CaphyError(f"{source}: {error}") from error
 
@@ -135,3 +138,5 @@ class Model:
             return cls.from_json(path.read_text(), str(path))
         except OSError as error:
             raise CaphyError(f"{path}: cannot be read: {error.strerror}") from error
+        except UnicodeDecodeError as error:
+            raise CaphyError(f"{path}: a physics model must be JSON in UTF-8, got other bytes") from error

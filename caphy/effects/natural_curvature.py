@@ -21,6 +21,10 @@ class NaturalCurvature(Hinge):
     """
 
     name = "natural_curvature"
+    lacks = {
+        "rests_at_rest": "it changes the shape that rests",
+        "projection_is_semidefinite": "a constant or negative moment has a Gauss-Newton Hessian of zero",
+    }
     group = "rest shape"
     parameters = {
         "weft": Parameter(5.0, "1/m", -1e3, 1e3, linear=False, doc="curvature at which the weft threads rest"),

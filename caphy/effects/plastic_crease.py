@@ -22,6 +22,7 @@ class PlasticCrease(Hinge):
     """
 
     name = "plastic_crease"
+    lacks = {"projection_is_semidefinite": "a constant or negative moment has a Gauss-Newton Hessian of zero"}
     group = "damping"
     parameters = {
         "share": Parameter(0.3, "1", 0.0, 2.0, doc="friction over the elastic moment: one less crease recovery"),

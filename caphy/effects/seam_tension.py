@@ -20,6 +20,7 @@ class SeamTension(Effect):
     """
 
     name = "seam_tension"
+    lacks = {"rests_at_rest": "it changes the shape that rests"}
     element = "edge"
     group = "rest shape"
     parameters = {"tension": Parameter((0.1, 0.0, 0.0, 0.0), "N", 0.0, 1e4, doc="force at rest length, lowest first")}

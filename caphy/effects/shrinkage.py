@@ -18,6 +18,7 @@ class Shrinkage(Membrane):
     """
 
     name = "shrinkage"
+    lacks = {"rests_at_rest": "it changes the shape that rests"}
     group = "rest shape"
     parameters = {"fraction": Parameter(0.03, "1", -0.5, 0.5, linear=False, doc="share of each length that is lost")}
     coefficients = ("fraction",)

@@ -18,6 +18,7 @@ class ShrinkageDirectional(Membrane):
     """
 
     name = "shrinkage_directional"
+    lacks = {"rests_at_rest": "it changes the shape that rests"}
     group = "rest shape"
     parameters = {
         "weft": Parameter(0.03, "1", -0.5, 0.5, linear=False, doc="share of lengths along the weft that is lost"),

@@ -22,6 +22,7 @@ class Softening(Membrane):
     """
 
     name = "softening"
+    lacks = {"projection_is_semidefinite": "it takes tension away: where cloth is taut its Hessian is negative"}
     group = "stiffness"
     parameters = {
         "share": Parameter(0.2, "1", -1.0, 1.0, doc="share of the tension at rest that the first stretch took away"),

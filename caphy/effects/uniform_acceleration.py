@@ -17,6 +17,7 @@ class UniformAcceleration(Effect):
     """
 
     name = "uniform_acceleration"
+    lacks = {"same_in_every_frame": "it has a direction of the world"}
     element = "vertex"
     group = "external"
     parameters = {

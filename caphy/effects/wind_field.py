@@ -18,6 +18,7 @@ class WindField(Air):
     """
 
     name = "wind_field"
+    lacks = {"same_in_every_frame": "the wind has a place and a direction in the world"}
     group = "wind"
     power = 0
     parameters = {

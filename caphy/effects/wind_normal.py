@@ -19,6 +19,7 @@ class WindNormal(Air):
     """
 
     name = "wind_normal"
+    lacks = {"same_in_every_frame": "the wind blows in a direction of the world"}
     group = "wind"
     parameters = {
         "coefficient": Parameter(1.2, "N s/m^3", 0.0, 1e3, doc="pressure per speed"),

@@ -21,6 +21,7 @@ class WindNormalQuadratic(Air):
     """
 
     name = "wind_normal_quadratic"
+    lacks = {"same_in_every_frame": "the wind blows in a direction of the world"}
     group = "wind"
     refines = "wind_normal"
     power = 2

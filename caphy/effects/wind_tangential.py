@@ -19,6 +19,7 @@ class WindTangential(Air):
     """
 
     name = "wind_tangential"
+    lacks = {"same_in_every_frame": "the wind blows in a direction of the world"}
     group = "wind"
     across = False
     parameters = {

@@ -21,6 +21,7 @@ class WindTangentialQuadratic(Air):
     """
 
     name = "wind_tangential_quadratic"
+    lacks = {"same_in_every_frame": "the wind blows in a direction of the world"}
     group = "wind"
     refines = "wind_tangential"
     across = False

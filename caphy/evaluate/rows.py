@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -41,9 +42,9 @@ def known_rows(run: Path) -> list[Row]:
 def _places(run: Path) -> dict[str, tuple[str, ...]]:
     """Where a row's networks lie in a run's folder: the first of these that is there.
 
-    What was trained last counts as ours only if the fabric had been optimised before.
+    What was trained last counts as ours only if a number of the fabric had been found before.
     """
-    optimised, last = (run / "fabric.json").is_file(), ("collided", "fabric")
+    optimised, last = _found_a_fabric(run), ("collided", "fabric")
     return {
         DATA_ONLY: ("rows/data_only",),
         SNUG: ("rows/snug",),
@@ -51,6 +52,16 @@ def _places(run: Path) -> dict[str, tuple[str, ...]]:
         NO_PHYSICS: ("rows/default_physics", "train") if optimised else ("rows/default_physics", *last, "train"),
         OURS: ("rows/ours", *last) if optimised else ("rows/ours",),
     }
+
+
+def _found_a_fabric(run: Path) -> bool:
+    """Whether 'caphy fabric' determined a table of any garment; else it kept the one that training began with."""
+    try:
+        garments = json.loads((run / "fabric.json").read_text(encoding="utf-8"))["garments"]
+        tables = [table for garment in garments.values() for table in garment["stiffness"].values()]
+        return any(table["interval"] is not None for table in tables)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
 
 
 def seed_folders(folder: Path) -> tuple[Path, ...]:

@@ -33,6 +33,10 @@ MANIFEST: Final = "avatar.json"
 ARRAYS: Final = "arrays.npz"
 INFLUENCES: Final = 4
 """Most joints that move one vertex, as glTF viewers take them."""
+UNITS: Final = {"length": "m", "angle": "rad", "time": "s"}
+AXES: Final = {"up": "y", "forward": "z", "left_hand": "x"}
+FPS: Final = (1.0, 1000.0)
+"""Frame rates at which a network may run [Hz]."""
 MOST_BYTES: Final = 512 << 20
 """Of one file of a bundle, packed or not: a garment's is a few million."""
 NAME_PATTERN: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,38}")
@@ -185,8 +189,9 @@ def read_bundle(folder: str | Path) -> AvatarBundle:
     try:
         files = {name: _read_hashed(folder, name, entry["sha256"]) for name, entry in manifest["files"].items()}
         arrays = _read_arrays(files[ARRAYS], folder / ARRAYS)
+        _require_convention(manifest, folder / MANIFEST)
         bundle = AvatarBundle(
-            name=str(manifest["name"]),
+            name=manifest["name"],
             fps=float(manifest["fps"]),
             joints=arrays["joints"],
             parents=np.array(manifest["parents"], np.int32),
@@ -212,6 +217,16 @@ def read_bundle(folder: str | Path) -> AvatarBundle:
     return bundle
 
 
+def _require_convention(manifest: Mapping[str, Any], path: Path) -> None:
+    """Raise CaphyError where a manifest's numbers mean something else than a bundle's, or its remarks are none."""
+    for name, wanted in (("units", UNITS), ("axes", AXES)):
+        if manifest[name] != wanted:
+            raise CaphyError(f"{path}: {name} must be {wanted}, got {manifest[name]}; export it again")
+    for name, kind in (("name", str), ("licence", str), ("provenance", dict), ("metrics", dict)):
+        if not isinstance(manifest[name], kind):
+            raise TypeError(f"{name} must be a {kind.__name__}, got {manifest[name]!r:.40}")
+
+
 def require_consistent(bundle: AvatarBundle, where: str) -> None:
     """Raise CaphyError unless names, shapes, indices and values of a bundle fit together."""
     names = [g.name for g in bundle.garments]
@@ -220,8 +235,8 @@ def require_consistent(bundle: AvatarBundle, where: str) -> None:
     for name in names:
         if not NAME_PATTERN.fullmatch(name) or name == "body":
             raise CaphyError(f"{where}: garment names are lower-case letters, digits, - and _, got {name!r}")
-    if not (np.isfinite(bundle.fps) and bundle.fps > 0):
-        raise CaphyError(f"{where}: fps must be positive, got {bundle.fps}")
+    if not FPS[0] <= bundle.fps <= FPS[1]:
+        raise CaphyError(f"{where}: fps must lie between {FPS[0]:g} and {FPS[1]:g}, got {bundle.fps:g}")
     parents = bundle.parents
     if bundle.joints.shape != (JOINT_COUNT, 3) or not np.isfinite(bundle.joints).all():
         raise CaphyError(f"{where}: joints must be finite of shape ({JOINT_COUNT}, 3), got {bundle.joints.shape}")
@@ -277,8 +292,8 @@ def _manifest(bundle: AvatarBundle, files: Mapping[str, bytes]) -> dict[str, Any
     return {
         "schema": SCHEMA,
         "name": bundle.name,
-        "units": {"length": "m", "angle": "rad", "time": "s"},
-        "axes": {"up": "y", "forward": "z", "left_hand": "x"},
+        "units": UNITS,
+        "axes": AXES,
         "fps": bundle.fps,
         "joints": list(JOINT_NAMES),
         "parents": bundle.parents.tolist(),

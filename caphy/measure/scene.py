@@ -17,6 +17,7 @@ from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.garment.threads import lay_flat, warp_field
+from caphy.garment.topology import check_manifold
 from caphy.io.measurements import Measurement
 from caphy.io.poses import PoseSequence
 from caphy.measure.mesh_body import MeshBody
@@ -133,6 +134,11 @@ def _carried_garment(measurement: Measurement) -> Garment:
     if measurement.poses is not None and measurement.weights is None:
         raise CaphyError(f"{where}: clothing on a posed body needs skinning weights (V, 55); give --garment FILE")
     count, rest, faces = len(measurement.rest_vertices), measurement.rest_vertices, measurement.faces
+    if defects := check_manifold(faces, count):
+        raise CaphyError(
+            f"{where}: faces must be an oriented manifold with boundary that uses all vertices, got "
+            f"{defects.describe()}; repair the mesh (merge by distance, recalculate normals), or leave vertices out"
+        )
     on_root = np.zeros((count, 55))
     on_root[:, 0] = 1
     regions = measurement.regions

@@ -7,6 +7,7 @@ import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from caphy.errors import CaphyError
 from caphy.pipeline.stage import Stage
 
 FOLDER = "stages"
@@ -33,17 +34,20 @@ class Ledger:
     def entry(self, stage: Stage) -> Entry | None:
         """What is known of a stage."""
         try:
-            return Entry(**json.loads((self.folder / f"{stage.name}.json").read_text(encoding="utf-8")))
+            return Entry(**json.loads(self._record(stage).read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
             return None
 
     def write(self, stage: Stage, entry: Entry) -> None:
         """Remember a stage, whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"{stage.name}.json"
+        path = self._record(stage)
         partial = path.with_name(path.name + ".partial")
         partial.write_text(json.dumps(asdict(entry), indent=1), encoding="utf-8")
         partial.replace(path)
+
+    def _record(self, stage: Stage) -> Path:
+        return self.folder / f"{stage.name}.json"
 
     def log(self, stage: Stage) -> Path:
         """The stage's log."""
@@ -54,13 +58,25 @@ class Ledger:
         entry = self.entry(stage)
         if entry is None or not entry.finished or not all(path.exists() for path in stage.outputs):
             return False
+        if not stage.whole():
+            return False
         return entry.key == stage.key()
 
     def begin(self, stage: Stage) -> None:
-        """Note the start; outputs of other inputs are removed, those of the same are there to go on from."""
+        """Note the start; outputs of other inputs are removed, those of the same are there to go on from.
+
+        Raises:
+            CaphyError: something is in the place of an output, of which no stage of this run is known to have made it.
+        """
         key, entry = stage.key(), self.entry(stage)
-        if entry is None or entry.key != key:
-            for path in stage.outputs:
+        unknown = not self._record(stage).exists()
+        for path in stage.outputs:
+            if unknown and (path.exists() or path.is_symlink()):
+                raise CaphyError(
+                    f"{path}: is there already and not of this run, so it is left alone; move it away, or give another "
+                    "folder for the run"
+                )
+            if entry is None or entry.key != key:
                 _remove(path)
         self.write(stage, Entry(key, finished=False))
 

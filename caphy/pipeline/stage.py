@@ -42,6 +42,8 @@ class Stage:
     """Whether ``seconds`` was set by the user, whatever the machine."""
     may_fail: bool = False
     """Whether the run goes on without it."""
+    whole: Callable[[], bool] = lambda: True
+    """Whether what it wrote beyond ``outputs``, which depends on the inputs, is all there."""
 
     def key(self) -> str:
         """A fingerprint of inputs, options and caphy's version."""

@@ -47,7 +47,8 @@ def read_mesh_file(path: Path) -> MeshFile:
     if path.suffix.lower() == ".obj":
         vertices, faces, colours = _in_order(_obj_vertices(path), vertices, faces, colours)
     elif path.suffix.lower() == ".glb":
-        vertices, faces, colours = _in_order(np.unique(vertices, axis=0), vertices, faces, colours)
+        first = np.sort(np.unique(vertices, axis=0, return_index=True)[1])  # the file's order, which labels refer to
+        vertices, faces, colours = _in_order(vertices[first], vertices, faces, colours)
     return MeshFile(vertices, faces, colours, label)
 
 
@@ -98,7 +99,8 @@ def _has_base_image(visual: Any) -> bool:
 
 def _ply_label(mesh: Any) -> np.ndarray | None:
     data = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
-    if data is None or data.dtype.names is None or "label" not in data.dtype.names:
+    names = data if isinstance(data, dict) else getattr(getattr(data, "dtype", None), "names", None)  # a dict in ASCII
+    if data is None or not names or "label" not in names:
         return None
     return np.asarray(data["label"]).reshape(-1).astype(np.int64)
 

@@ -19,6 +19,8 @@ from caphy.scan.scan import LABEL_NAMES, UNKNOWN, Scan
 DESCRIPTION: Final = "scans.toml"
 UNITS: Final = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Metres per unit."""
+MOST_LABELS: Final = 65535
+"""Largest number of a label that :data:`DESCRIPTION` may give a meaning."""
 
 _UP: Final[dict[str, list[list[int]]]] = {
     "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -63,6 +65,9 @@ class ScanSet:
         given = _description(folder)
         files = _files(folder, given.get("scans"))
         own = folder / given.get("labels", "labels")
+        for place, told in ((labels, labels is not None), (own, "labels" in given)):
+            if told and place is not None and not place.is_dir():
+                raise CaphyError(f"{place}: there is no such folder of labels; 'caphy segment' makes them")
         return cls(
             name=str(given.get("name", folder.name)),
             folder=folder,
@@ -173,7 +178,7 @@ def _description(folder: Path) -> dict[str, Any]:
     path = folder / DESCRIPTION
     example = 'unit = "mm" and up_axis = "z"'
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise CaphyError(f"{folder}: a folder of scans needs a {DESCRIPTION} with, for example: {example}") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -182,7 +187,7 @@ def _description(folder: Path) -> dict[str, Any]:
     if unknown:
         raise CaphyError(f"{path}: has keys nobody reads: {', '.join(unknown)}; known: {', '.join(_KEYS)}")
     for key, choices in (("unit", UNITS), ("up_axis", _UP)):
-        if given.get(key) not in choices:
+        if not isinstance(given.get(key), str) or given[key] not in choices:
             raise CaphyError(
                 f"{path}: {key} must be one of {', '.join(choices)}, got {given.get(key)!r}; for example: {example}"
             )
@@ -223,11 +228,12 @@ def _numbers(folder: Path, given: Any) -> dict[int, int] | None:
     if given is None:
         return None
     try:
-        return {int(number): LABEL_NAMES.index(name) for name, numbers in given.items() for number in numbers} | {
-            UNKNOWN: UNKNOWN
-        }
+        found = {int(number): LABEL_NAMES.index(name) for name, numbers in given.items() for number in numbers}
+        if not all(0 <= number <= MOST_LABELS for number in found):
+            raise ValueError("a number is out of range")
     except (AttributeError, TypeError, ValueError) as error:
         raise CaphyError(
-            f"{folder / DESCRIPTION}: label_numbers must name {', '.join(LABEL_NAMES)} with lists of numbers, such as "
-            "label_numbers = {body = [0, 1, 2], upper = [3], lower = [4]}"
+            f"{folder / DESCRIPTION}: label_numbers must name {', '.join(LABEL_NAMES)} with lists of numbers from 0 to "
+            f"{MOST_LABELS}, such as label_numbers = {{body = [0, 1, 2], upper = [3], lower = [4]}}"
         ) from error
+    return {UNKNOWN: UNKNOWN} | found

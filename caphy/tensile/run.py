@@ -12,7 +12,9 @@ from caphy.tensile.refit import CurveRefit, refit_curves
 from caphy.tensile.report import write
 
 
-def diagnose_tables(model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path] = ()) -> None:
+def diagnose_tables(
+    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path] = ()
+) -> CurveDiagnosis:
     """Diagnose a model from tables of force curves; raises :class:`caphy.errors.CaphyError`."""
     from tqdm import tqdm
 
@@ -25,6 +27,7 @@ def diagnose_tables(model: Model, tables: Sequence[Path], output: Path, held_out
 
         answer = diagnose_curves(model, _curves(tables), _curves(held_out), progress)
     _finish(answer, output, tables)
+    return answer
 
 
 def refit_tables(
@@ -44,7 +47,3 @@ def _finish(result: CurveDiagnosis | CurveRefit, output: Path, tables: Sequence[
     cautions = result.outcome.cautions if isinstance(result, CurveRefit) else result.cautions
     print("\n".join([*result.sentences, *(f"Caution: {caution}" for caution in cautions)]))
     print("\n" + "\n".join(map(str, paths)))
-    if isinstance(result, CurveDiagnosis) and result.verdict in ("named", "none of these"):
-        found = " ".join([*result.found, *result.found_used])
-        listed = " ".join(map(str, tables))
-        print(f"next: caphy refit MODEL {listed} --add {found}" if found else "next: caphy effects new NAME")

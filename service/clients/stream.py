@@ -20,8 +20,10 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import ClientConnection, connect
 
 from caphy.errors import CaphyError
-from service.encodings import Encoding, EncodingName
+from caphy.io.bundle import NAME_PATTERN
+from service.encodings import LABELS, Encoding, EncodingName
 from service.stream.messages import (
+    MOST_CREDITS,
     Credit,
     Dressed,
     Failure,
@@ -77,10 +79,20 @@ class StreamClient:
         patience: float = 10.0,
         conditioning: Mapping[str, Any] | None = None,
     ) -> None:
-        """``conditioning``: settings as in docs/conditioning.md; {} for its defaults, none for no conditioning."""
+        """``conditioning``: settings as in docs/conditioning.md; {} for its defaults, none for no conditioning.
+
+        Raises CaphyError for an encoding, a number of credits or names that no hello can hold.
+        """
+        if encoding not in LABELS:
+            raise CaphyError(f"encoding must be one of {', '.join(LABELS)}, got {encoding!r}")
+        if not 1 <= credits <= MOST_CREDITS:
+            raise CaphyError(f"credits must lie between 1 and {MOST_CREDITS}, got {credits}")
+        for name in garments:
+            if not NAME_PATTERN.fullmatch(name):
+                raise CaphyError(f"garment names are lower-case letters, digits, - and _, 39 at most, got {name!r}")
         self._address = web_socket(url, f"/avatars/{quote(avatar, safe='')}/stream")
         self._headers = {"authorization": f"Bearer {key}"} if key else None
-        self._hello = Hello(tuple(garments), fps, Encoding[encoding.upper()], normals, credits)
+        self._hello = Hello(tuple(garments), fps, Encoding(LABELS.index(encoding)), normals, credits)
         if conditioning is not None:
             self._hello = replace(self._hello, conditioning=json.dumps(dict(conditioning)))
         self._state = np.zeros(0, np.float32) if state is None else np.asarray(state, np.float32)

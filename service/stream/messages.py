@@ -33,6 +33,8 @@ RATE: Final = struct.Struct("<f")
 NAME: Final = struct.Struct("<40s")
 GARMENT: Final = struct.Struct("<40sII")
 """name in ASCII padded with zeros, vertices (or blend shapes, where weights are sent), state floats."""
+MOST_CREDITS: Final = 2**16 - 1
+"""That a hello can hold; the service may allow fewer."""
 NORMALS: Final = 1
 FLOAT: Final = np.dtype("<f4")
 POSE_FLOATS: Final = 3 * JOINT_COUNT + 3

@@ -41,7 +41,7 @@ def read_upload(name: str, content: bytes, bundle: AvatarBundle, fps: float | No
             "with 'caphy poses convert', because files of Python objects may hold code",
         )
     if suffix == ".npz":
-        _require_small(content)
+        _require_small(name, content)
     with tempfile.TemporaryDirectory(prefix="caphy-") as folder:
         path = Path(folder) / f"upload{suffix}"
         path.write_bytes(content)
@@ -61,15 +61,15 @@ def frames_request(sequence: PoseSequence) -> tuple[bytes, dict[str, str]]:
     return body, headers
 
 
-def _require_small(content: bytes) -> None:
+def _require_small(name: str, content: bytes) -> None:
     """Refuse archives whose members claim to unpack to more than is allowed; zipfile holds them to their claims."""
     try:
         with zipfile.ZipFile(BytesIO(content)) as archive:
             size = sum(member.file_size for member in archive.infolist())
     except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-        raise Problem(422, f"not a readable .npz archive, perhaps cut short: {error}") from error
+        raise Problem(422, f"{name}: not a readable .npz archive, perhaps cut short: {error}") from error
     if size > MAX_UNPACKED_BYTES:
-        raise Problem(413, f"an archive may unpack to {MAX_UNPACKED_BYTES} bytes, this one says {size}")
+        raise Problem(413, f"{name}: an archive may unpack to {MAX_UNPACKED_BYTES} bytes, this one says {size}")
 
 
 def _read(path: Path, name: str, fps: float | None) -> PoseSequence:

@@ -114,7 +114,11 @@ def test_what_was_fine_tuned_is_ours_only_if_the_fabric_was_optimised(tmp_path):
     _networks(tmp_path / "collided")
     rows = {row.name: row for row in known_rows(tmp_path)}
     assert rows[NO_PHYSICS].folders == (tmp_path / "collided",) and not rows[OURS].folders
-    (tmp_path / "fabric.json").write_text("{}")
+    tables = {"bending": {"over_the_start": "not determined", "interval": None}}
+    (tmp_path / "fabric.json").write_text(json.dumps({"garments": {"upper": {"stiffness": tables}}}))
+    assert not {row.name: row for row in known_rows(tmp_path)}[OURS].folders
+    tables["bending"] = {"over_the_start": 2.0, "interval": [1.5, 2.6]}
+    (tmp_path / "fabric.json").write_text(json.dumps({"garments": {"upper": {"stiffness": tables}}}))
     rows = {row.name: row for row in known_rows(tmp_path)}
     assert rows[NO_PHYSICS].folders == (tmp_path / "train",) and rows[OURS].folders == (tmp_path / "collided",)
 

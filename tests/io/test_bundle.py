@@ -141,7 +141,12 @@ def test_no_bundle_and_no_json(folder, tmp_path):
     [
         (lambda m: m.update(schema="caphy-avatar-9"), "must be of schema"),
         (lambda m: m["joints"].reverse(), "SMPL-X joints in their order"),
-        (lambda m: m.update(fps=-1), "fps must be positive"),
+        (lambda m: m.update(fps=-1), "fps must lie between 1 and 1000, got -1"),
+        (lambda m: m.update(fps=1e9), "fps must lie between 1 and 1000"),
+        (lambda m: m["units"].update(length="mm"), "units must be"),
+        (lambda m: m["axes"].update(up="z"), "axes must be"),
+        (lambda m: m.update(metrics=5), "metrics must be a dict, got 5"),
+        (lambda m: m.update(name=None), "name must be a str"),
         (lambda m: m.update(fps="fast"), "does not follow schema"),
         (lambda m: m.pop("garments"), "does not follow schema"),
         (lambda m: m.update(garments=[]), "must have garments"),

@@ -152,6 +152,8 @@ def test_killed_in_training_it_ends_the_same(finished, world):
         (broken / "stages" / f"{name}.json").unlink()
     for name in ("train", "fabric", "collided", "avatar"):
         shutil.rmtree(broken / name)
+    for name in ("fabric.json", "evaluation.json", "report.html"):
+        (broken / name).unlink()
     script = [sys.executable, str(Path(__file__).with_name("quick_fit.py")), str(world / "scans"), "-o", str(broken)]
     command = [*script, "--poses", str(world / "motions")]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:

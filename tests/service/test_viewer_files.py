@@ -68,7 +68,7 @@ def test_amass_files_come_upright_at_the_avatars_rate(http, tmp_path):
     step = request.transl - request.transl[0]
     np.testing.assert_allclose(step[:, [0, 2]], (expected.transl - expected.transl[0])[:, [0, 2]], atol=1e-5)
     assert json.loads(answer.headers["caphy-source"]) == "walk.npz"
-    assert any("z is up" in note for note in json.loads(answer.headers["caphy-notes"]))
+    assert any("z was up in the file" in note for note in json.loads(answer.headers["caphy-notes"]))
 
 
 def test_feet_stand_on_the_floor(http, bundle):

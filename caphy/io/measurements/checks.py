@@ -29,8 +29,10 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
     """
     _require_rate(measurement)
     _require_metres(measurement)
+    _require_same_pattern(measurement)
     if measurement.registered:
         _require_same_mesh(measurement)
+        _require_no_repeats(measurement)
         _require_order(measurement)
         _require_pins(measurement)
     _require_body(measurement)
@@ -81,6 +83,38 @@ def _require_metres(measurement: Measurement) -> None:
 def _edges(faces: np.ndarray) -> np.ndarray:
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     return np.unique(pairs, axis=0)
+
+
+def _require_same_pattern(measurement: Measurement) -> None:
+    """Edges must be about as long in the flat rest shapes as in the rest mesh."""
+    if measurement.rest_vertices is None or measurement.material is None or measurement.faces is None:
+        return
+    corners, flat = measurement.rest_vertices[measurement.faces], measurement.material
+    rest, laid = (np.linalg.norm(x - np.roll(x, 1, axis=1), axis=-1) for x in (corners, flat))
+    low, middle, high = np.quantile(laid / np.maximum(rest, 1e-12), (0.1, 0.5, 0.9))
+    if not 0.5 <= middle <= 2 or high > 2.5 * low:
+        raise _error(
+            measurement,
+            f"edges are {low:.2g} to {high:.2g} times as long in material as in rest_vertices (in the median "
+            f"{middle:.3g}); give both in metres, and material's corners in the order of faces",
+        )
+
+
+def _require_no_repeats(measurement: Measurement) -> None:
+    """With noise no frame is the same as the one before to the last digit."""
+    noisy = bool(measurement.noise_mm) or (measurement.noise is not None and bool(np.nanmax(measurement.noise) > 0))
+    if measurement.vertices is None or not noisy:
+        return
+    frames = measurement.seen_frames
+    now, before = measurement.vertices[frames[1:]], measurement.vertices[frames[:-1]]
+    same = np.flatnonzero(((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=(1, 2)))
+    if len(same):
+        first = int(same[0])
+        raise _error(
+            measurement,
+            f"frames {frames[first]} and {frames[first + 1]} are the same to the last digit, in spite of noise "
+            f"({len(same)} such pairs): leave repeated frames empty (NaN), and give the true fps",
+        )
 
 
 def _require_same_mesh(measurement: Measurement) -> None:
@@ -215,6 +249,11 @@ def _require_hanging(measurement: Measurement) -> None:
         [measurement.cloud(int(t)).mean(0) - measurement.pinned_positions[t].mean(0) for t in frames], axis=0
     )
     length = float(np.linalg.norm(hanging))
+    if length > 0.1 * _size(measurement) and hanging[1] > 0.8 * length:
+        raise _error(
+            measurement,
+            "the cloth hangs upwards from its pins; turn it, or state up_axis = 'y' in the file if it does fly so",
+        )
     if length > 0.1 * _size(measurement) and hanging[1] > -0.3 * length and hanging[2] < -0.8 * length:
         raise _error(
             measurement,

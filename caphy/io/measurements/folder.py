@@ -19,12 +19,16 @@ from caphy.io.measurements.measurement import Measurement
 
 DESCRIPTION: Final = "measurement.toml"
 EXTRA: Final = "arrays.npz"
+REST: Final = "rest.ply"
+"""The rest mesh, where the description names no other."""
 _KEYS = ("fps", "name", "frames", "registered", "rest", "poses", "arrays", "up_axis", "noise_mm", "frame_count")
 
 
 def read_folder(folder: Path) -> tuple[Measurement, bool]:
     """The measurement in a folder with a ``measurement.toml``, and whether it states its up axis."""
     description = _description(folder)
+    if "rest" not in description and (folder / REST).is_file():
+        description["rest"] = REST
     arrays: dict[str, Any] = _extra(folder, description)
     where = folder / DESCRIPTION
     if "rest" in description:
@@ -68,8 +72,8 @@ def _fill(measurement: Measurement, folder: Path) -> None:
         lines["noise_mm"] = float(arrays.pop("noise_mm"))
     rest = arrays.pop("rest_vertices", None)
     if rest is not None:
-        _write_ply(folder / "rest.ply", rest, faces)
-        lines["rest"] = "rest.ply"
+        _write_ply(folder / REST, rest, faces)
+        lines["rest"] = REST
     elif len(faces):
         arrays["faces"] = faces
     for frame in range(len(measurement)):

@@ -104,10 +104,9 @@ class Measurement:
     @property
     def vertex_count(self) -> int | None:
         """Number of vertices V of the cloth; none for clouds without a mesh."""
-        for value in (self.rest_vertices, self.vertices[0] if self.vertices is not None else None):
-            if value is not None:
-                return len(value)
-        return None
+        if self.rest_vertices is not None:
+            return len(self.rest_vertices)
+        return None if self.vertices is None else self.vertices.shape[1]
 
     @cached_property
     def observed(self) -> np.ndarray:
@@ -171,6 +170,8 @@ class Measurement:
             raise self._error(f"vertices must have shape (T, V, 3), got {self.vertices.shape}")
         if self.offsets is not None and (self.offsets.ndim != 1 or len(self.offsets) < 2):
             raise self._error(f"offsets must have shape (T + 1,), got {self.offsets.shape}")
+        if len(self) == 0:
+            raise self._error("holds no frames")
         t, v = len(self), self.vertex_count
         f = None if self.faces is None else len(self.faces)
         p = None if self.pinned is None else len(self.pinned)

@@ -23,7 +23,8 @@ class Archive:
         except CaphyError:
             raise
         except Exception as error:  # a damaged archive can fail anywhere in zipfile, zlib or NumPy's headers
-            raise CaphyError(f"{path}: not a readable .npz archive, perhaps cut short: {error}") from error
+            why = "no archive at all" if "allow_pickle" in str(error) else f"perhaps cut short: {error}"
+            raise CaphyError(f"{path}: not a readable .npz archive, {why}") from error
 
     def __contains__(self, name: str) -> bool:
         return name in self._arrays

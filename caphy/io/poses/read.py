@@ -8,7 +8,7 @@ from typing import Literal
 from caphy.errors import CaphyError
 from caphy.io.poses.archive import Archive
 from caphy.io.poses.canonical import is_canonical, read_canonical
-from caphy.io.poses.sequence import PoseSequence
+from caphy.io.poses.sequence import PoseSequence, require_rate
 from caphy.io.poses.smplx_npz import read_smplx_npz
 
 SUFFIXES = (".npz", ".bvh", ".amc", ".pt", ".pkl", ".npy")
@@ -34,8 +34,8 @@ def read_poses(
     path = Path(path)
     if not path.exists():
         raise CaphyError(f"{path}: no such file")
-    if fps is not None and not 0 < fps < float("inf"):
-        raise CaphyError(f"{path}: fps must be positive, got {fps}")
+    if fps is not None:
+        require_rate(fps, str(path))
     return _read(path, fps, up, person).to_y_up()
 
 

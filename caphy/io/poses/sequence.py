@@ -37,6 +37,16 @@ MAX_LINEAR_SPEED: Final = 12.0
 """Root speed above which a step counts as a jump [m/s]: a sprinter's."""
 
 
+MAX_ANGLE: Final = 4 * np.pi
+"""Largest rotation of a joint [rad]: more than two turns are degrees, or a mistake."""
+
+MAX_DISTANCE: Final = 1000.0
+"""Largest translation along an axis [m]: beyond it float32 no longer resolves a tenth of a millimetre."""
+
+RATES: Final = (0.1, 10_000.0)
+"""Frame rates that motions have [Hz]; what lies below is the time of a frame."""
+
+
 @dataclass(frozen=True)
 class Jump:
     """A step between two frames too fast for a body."""
@@ -56,7 +66,8 @@ class PoseSequence:
 
     The root turns about the rest position of the pelvis joint, so the pelvis stands at ``pelvis + transl``
     (Pavlakos et al., CVPR 2019). Raises :class:`CaphyError` naming source, frame and joint for wrong shapes,
-    values that are not finite, or a frame rate that is not positive.
+    values that are not finite, or beyond :data:`MAX_ANGLE`, :data:`MAX_DISTANCE` or :data:`RATES`: degrees,
+    millimetres or the time of a frame, which resampling would turn into another motion.
 
     poses: (T, 55, 3) axis-angle of every joint relative to its parent [rad].
     transl: (T, 3) translation added after posing [m].
@@ -90,13 +101,12 @@ class PoseSequence:
         transl = _array(self.transl, where, "transl")
         if transl.shape != (len(poses), 3):
             raise CaphyError(f"{where}: transl must have shape ({len(poses)}, 3), got {transl.shape}")
-        _require_finite(poses, transl, where)
+        _require_bounded(poses, transl, where)
         try:
             fps = float(self.fps)
         except (TypeError, ValueError) as error:
             raise CaphyError(f"{where}: fps must be a number, got {self.fps!r}") from error
-        if not (np.isfinite(fps) and fps > 0):
-            raise CaphyError(f"{where}: fps must be positive, got {fps}; give the true rate with --fps")
+        require_rate(fps, where)
         for name, value, choices in (
             ("up_axis", self.up_axis, ("y", "z")),
             ("frame", self.frame, ("world", "camera")),
@@ -148,8 +158,7 @@ class PoseSequence:
 
     def resample(self, fps: float) -> PoseSequence:
         """The motion at another frame rate: rotations by slerp, translation linear; never past the last frame."""
-        if not (np.isfinite(fps) and fps > 0):
-            raise CaphyError(f"{self.source}: fps must be positive, got {fps}")
+        require_rate(fps, self.source)
         if fps == self.fps or len(self) == 1:
             return replace(self, fps=fps)
         count = int(np.floor(self.duration * fps + 1e-6)) + 1
@@ -251,6 +260,16 @@ def concatenate(sequences: list[PoseSequence]) -> PoseSequence:
     )
 
 
+def require_rate(fps: float, where: str) -> None:
+    """Raise :class:`CaphyError` where ``fps`` [Hz] is no motion's frame rate."""
+    if not RATES[0] <= fps <= RATES[1]:
+        hint = f"; is it the time of a frame, of {1 / fps:g} frames per second?" if 0 < fps < RATES[0] else ""
+        raise CaphyError(
+            f"{where}: fps must lie between {RATES[0]:g} and {RATES[1]:g} frames per second, got {fps:g}"
+            f"{hint or '; give the true rate with --fps'}"
+        )
+
+
 def _array(values: object, where: str, name: str) -> np.ndarray:
     try:
         return np.array(values, dtype=np.float64)
@@ -258,7 +277,7 @@ def _array(values: object, where: str, name: str) -> np.ndarray:
         raise CaphyError(f"{where}: {name} must be numbers of one shape: {error}") from error
 
 
-def _require_finite(poses: np.ndarray, transl: np.ndarray, where: str) -> None:
+def _require_bounded(poses: np.ndarray, transl: np.ndarray, where: str) -> None:
     bad = np.argwhere(~np.isfinite(poses))
     if len(bad):
         frame, joint, axis = bad[0]
@@ -270,3 +289,18 @@ def _require_finite(poses: np.ndarray, transl: np.ndarray, where: str) -> None:
     if len(bad):
         frame, axis = bad[0]
         raise CaphyError(f"{where}: transl must be finite, got {transl[frame, axis]} at frame {frame}")
+    angle = np.linalg.norm(poses, axis=-1)
+    bad = np.argwhere(angle > MAX_ANGLE)
+    if len(bad):
+        frame, joint = bad[0]
+        raise CaphyError(
+            f"{where}: poses must be angles of at most {MAX_ANGLE:.1f} rad, got {angle[frame, joint]:g} at frame "
+            f"{frame}, joint {joint} ({JOINT_NAMES[joint]}); are they degrees?"
+        )
+    bad = np.argwhere(np.abs(transl) > MAX_DISTANCE)
+    if len(bad):
+        frame, axis = bad[0]
+        raise CaphyError(
+            f"{where}: transl must be within {MAX_DISTANCE:g} m of the origin, got {transl[frame, axis]:g} at frame "
+            f"{frame}; are they millimetres?"
+        )

@@ -28,6 +28,8 @@ def poses_from_columns(columns: np.ndarray, where: str) -> tuple[np.ndarray, str
     if columns.ndim != 2 or columns.shape[1] not in LAYOUTS:
         known = "; ".join(f"{width} ({text})" for width, (_, text) in LAYOUTS.items())
         raise CaphyError(f"{where}: poses must have one row per frame of {known}; got shape {columns.shape}")
+    if not len(columns):
+        raise CaphyError(f"{where}: holds no frames; poses has shape {columns.shape}")
     joints = columns.reshape(len(columns), -1, 3)
     poses = np.zeros((len(columns), JOINT_COUNT, 3))
     poses[:, :BODY_JOINT_COUNT] = joints[:, :BODY_JOINT_COUNT]

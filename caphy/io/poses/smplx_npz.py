@@ -56,7 +56,7 @@ def read_smplx_npz(archive: Archive, fps: float | None = None, up: Literal["y", 
     if fps is not None and rate is not None and fps != rate:
         notes += (f"frame rate {fps:g} replaces the file's {rate:g}",)
     if up is None and amass:
-        up, seen = "z", ("z is up, as in every AMASS file",)
+        up, seen = "z", ("z was up in the file, as in every AMASS file",)
     else:
         up, seen = (up, ()) if up else _up_axis(poses, where)
     return PoseSequence(
@@ -95,9 +95,13 @@ def _poses(archive: Archive) -> tuple[np.ndarray, str, tuple[str, ...]]:
     if root is None or body is None:
         archive.require("poses")
         return poses_from_columns(archive.floats("poses"), str(archive.path))
-    frames, odd = divmod(archive.floats(root).size, 3)
-    if odd or frames == 0:
-        raise CaphyError(f"{archive.path}: {root} must be (frames, 3), got {archive.floats(root).shape}")
+    values = archive.floats(root)
+    shape, frames = values.shape, values.size // 3
+    matrices = len(shape) > 2 and shape[-2:] == (3, 3)
+    if frames == 0 or shape[-1:] != (3,) or matrices:
+        kind = "rotation matrices" if matrices else "6D rotations" if shape[-1:] == (6,) else ""
+        hint = f", {kind}; save them as axis-angle" if kind else ""
+        raise CaphyError(f"{archive.path}: {root} must be axis-angle, (frames, 3) [rad], got {shape}{hint}")
     if archive.floats(body).size == frames * 69:
         raise CaphyError(f"{archive.path}: {body} has SMPL's 23 joints; SMPL-X has 21. Save it as poses (T, 72)")
     poses, notes = parts_of_pose(archive, frames)

@@ -23,10 +23,10 @@ from caphy.rotations import matrix_from_axis_angle
 
 def read_tram(path: Path, fps: float | None) -> PoseSequence:
     """The motion of one track; ``fps`` [Hz] is the video's and must be given. Raises :class:`CaphyError`."""
-    fps = require_fps(fps, str(path), "TRAM does not keep the video's frame rate")
     results = read_boxed(path)
     rotations = _numbers(results, "pred_rotmat", (24, 3, 3), path)
     count = len(rotations)
+    fps = require_fps(fps, str(path), "TRAM does not keep the video's frame rate")
     transl = _numbers(results, "pred_trans", (1, 3), path, count)[:, 0]
     numbers = _numbers(results, "frame", (), path, count).astype(int)
     betas = _numbers(results, "pred_shape", (10,), path, count)

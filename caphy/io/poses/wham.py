@@ -15,8 +15,8 @@ from caphy.io.poses.smpl import poses_from_columns, require_fps
 
 def read_wham(results: Any, path: Path, fps: float | None, person: int | None = None) -> PoseSequence:
     """One person's motion; ``fps`` [Hz] is the video's and must be given. Raises :class:`CaphyError`."""
-    fps = require_fps(fps, str(path), "WHAM does not keep the video's frame rate")
     subject, key = _subject(results, path, person)
+    fps = require_fps(fps, str(path), "WHAM does not keep the video's frame rate")
     poses, model, notes = poses_from_columns(_numbers(subject, "pose_world", path), str(path))
     transl = _numbers(subject, "trans_world", path).reshape(-1, 3)
     if len(transl) != len(poses):

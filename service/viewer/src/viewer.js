@@ -150,7 +150,7 @@ class Viewer {
       if (error instanceof Refusal && ![0, 401, 429, 503].includes(error.status)) {
         this.play(false);
         this.state.error(error.message, { back: Boolean(this.clip), again: false });
-        if (error.status === 422) this.state.offerRate((rate) => this.openFile(file, rate));
+        if (/frame rate|frames per second/.test(error.message)) this.state.offerRate((rate) => this.openFile(file, rate));
       } else this.failed(error, () => this.openFile(file, fps));
     }
   }

@@ -1,4 +1,4 @@
-/* built from sources ffdf495b42a20e8b71b57e74495586cba99535d07cf78160a43bb1cd87b8d539 */
+/* built from sources 177f5c2a593177d2272e6d6109a9f3d6b19fa3eebfb3cedf7b19c2def26e9ced */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
