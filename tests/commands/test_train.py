@@ -71,3 +71,39 @@ def test_without_cuda_says_so(inputs, capsys):
         pytest.skip("this machine has CUDA")
     assert train(inputs, "--device", "cuda") == 2
     assert "--device cpu" in capsys.readouterr().err
+
+
+def test_another_training_is_not_gone_on_with(inputs, capsys):
+    assert train(inputs) == 0
+    kept = (inputs / "run" / "run.json").read_text(), (inputs / "run" / "model.json").read_text()
+    for more, words in (
+        (("--fabric", "gray-interlock"), "was begun with --fabric None, not gray-interlock"),
+        (("--seed", "5"), "was begun with --seed 0, not 5"),
+    ):
+        assert train(inputs, "--resume", *more) == 2
+        assert words in capsys.readouterr().err
+    (inputs / "motions" / "1.npz").unlink()
+    assert train(inputs, "--resume") == 2
+    assert "on other motions, 2 in all, not 1" in capsys.readouterr().err
+    assert kept == ((inputs / "run" / "run.json").read_text(), (inputs / "run" / "model.json").read_text())
+
+
+def test_a_moved_run_goes_on(inputs):
+    from caphy.commands.train import reopen
+
+    (inputs / "session").mkdir()
+    (inputs / "tube.npz").rename(inputs / "session" / "tube.npz")
+    whole = ["train", str(inputs / "session" / "tube.npz"), str(inputs / "motions"), "--steps", "1"]
+    assert main([*whole, "-o", str(inputs / "session" / "train" / "lower")]) == 0
+    (inputs / "session").rename(inputs / "elsewhere")
+    assert reopen(inputs / "elsewhere" / "train" / "lower").network.fps == 30
+
+
+def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):
+    from caphy.commands.train import Train, _clips
+
+    monkeypatch.chdir(inputs)
+    trained, unseen = _clips(Train(Path("tube.npz"), (Path("motions"),), Path("run")))
+    assert [len(clip) for clip in trained] == [30, 24] and [len(clip) for clip in unseen] == [6]
+    both = _clips(Train(Path("tube.npz"), (Path("motions"),), Path("run"), held_out=(inputs / "motions" / "1.npz",)))
+    assert [Path(clip.source).name for clip in both[0]] == ["0.npz"]

@@ -51,3 +51,9 @@ def test_parameters_that_were_off_are_shown_where_nothing_was_fitted():
 def test_where_nothing_is_left_to_do_nothing_is_said():
     assert next_command("nothing", (), given()) == []
     assert next_command("none of these", (), given()) == []  # its sentence says how to write an effect
+
+
+def test_tables_of_tensile_tests_are_refitted_into_a_folder():
+    command = next_command("named", ("strain_stiffening", "hysteresis"), given(), "refitted")
+    refit = parsed(RefitCommand, command)
+    assert refit.add == ("strain_stiffening", "hysteresis") and refit.output == Path("out/refitted")

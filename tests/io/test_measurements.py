@@ -109,6 +109,22 @@ def test_folder_of_another_program(tmp_path):
     np.testing.assert_allclose(back.vertices[[0, 4]], given.vertices[[0, 4]], atol=1e-9)
 
 
+def test_a_rest_mesh_is_found_by_its_name(tmp_path):
+    given = swinging()
+    write_measurement(given, tmp_path / "flag")
+    (tmp_path / "flag" / "measurement.toml").write_text("fps = 30\n")
+    back = read_measurement(tmp_path / "flag")
+    assert back.registered and back.rest_vertices.shape == given.rest_vertices.shape
+
+
+def test_cloth_that_hangs_upwards_is_told():
+    given, turn = swinging(), np.array([1.0, -1, -1])
+    turned = replace(given, vertices=given.vertices * turn, pinned_positions=given.pinned_positions * turn)
+    require_plausible(turned, axes_stated=True)
+    with pytest.raises(CaphyError, match="hangs upwards"):
+        require_plausible(turned, axes_stated=False)
+
+
 def test_clouds_round_trip_in_both_forms(tmp_path):
     cloud = np.random.default_rng(0).uniform(0, 0.5, (90, 3))
     given = Measurement(name="scan", fps=15.0, points=cloud, offsets=np.array([0, 40, 40, 90]))
@@ -164,6 +180,10 @@ def _relabelled() -> Measurement:
     return replace(swinging(), vertices=swinging().vertices[:, order], pinned=None, pinned_positions=None)
 
 
+def _flat() -> np.ndarray:
+    return swinging().rest_vertices[swinging().faces][..., :2]
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
@@ -175,6 +195,12 @@ def _relabelled() -> Measurement:
         (_relabelled, "not in the same vertex order"),
         (lambda: _broken(pinned=np.array([0, 35])), "pinned vertices were measured"),
         (lambda: _broken(fps=3000.0), "frames per second"),
+        (lambda: _broken(material=1000 * _flat()), "times as long in material as in rest_vertices"),
+        (lambda: _broken(material=_flat()[::-1].copy()[:, ::-1] * np.linspace(0.2, 2, 50)[:, None, None]), "material"),
+        (
+            lambda: _broken(vertices=np.repeat(swinging().vertices[::2], 2, 0), noise_mm=1.0),
+            "frames 0 and 1 are the same",
+        ),
     ],
 )
 def test_wrong_units_order_and_mesh_are_told(make, says):
@@ -212,6 +238,7 @@ def test_cloth_of_another_place_is_told():
         ({"faces": swinging().faces + 1}, "counted from 1"),
         ({"rest_vertices": grid(5)[0]}, "same topology"),
         ({"vertices": np.full((20, 36, 3), np.nan)}, "no frame shows anything"),
+        ({"vertices": np.zeros((0, 36, 3)), "pinned_positions": np.zeros((0, 2, 3))}, "holds no frames"),
         ({"fps": np.nan}, "fps must be positive"),
         ({"noise": np.ones(7)}, "noise must have shape"),
         ({"pinned": np.array([0, 0])}, "once"),

@@ -292,3 +292,25 @@ def test_empty_missing_and_unknown(tmp_path):
     ):
         with pytest.raises(CaphyError, match=words):
             read_poses(path, fps=30)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"global_orient": np.tile(np.eye(3), (T, 1, 1, 1))}, "rotation matrices; save them as axis-angle"),
+        ({"global_orient": np.ones((T, 6))}, "6D rotations; save them as axis-angle"),
+    ],
+)
+def test_other_rotations_are_named(changes, words, tmp_path):
+    np.savez(tmp_path / "c.npz", **plain_smplx(fps=25, **changes))
+    with pytest.raises(CaphyError, match=words):
+        read_poses(tmp_path / "c.npz")
+
+
+def test_files_of_nothing_are_named(tmp_path):
+    np.savez(tmp_path / "none.npz", poses=np.zeros((0, 165)), trans=np.zeros((0, 3)), mocap_frame_rate=120.0)
+    with pytest.raises(CaphyError, match=r"none\.npz: holds no frames"):
+        read_poses(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(CaphyError, match="no archive at all"):
+        read_poses(tmp_path / "text.npz")

@@ -212,6 +212,14 @@ def test_a_run_within_the_scans_is_refused(world, capsys):
     assert "must not lie within the folder of the scans" in capsys.readouterr().err
 
 
+def test_scans_where_the_run_puts_its_own_are_refused_and_kept(world, tmp_path, capsys):
+    shutil.copytree(world / "scans", tmp_path / "scans")
+    before = sorted(path.name for path in (tmp_path / "scans").iterdir())
+    assert main(["fit", str(tmp_path / "scans"), "-o", str(tmp_path), *OPTIONS]) == 2
+    assert "give another folder" in capsys.readouterr().err
+    assert sorted(path.name for path in (tmp_path / "scans").iterdir()) == before
+
+
 def test_a_whole_set_in_the_wrong_unit_is_told_which_would_fit(world, tmp_path, capsys):
     (tmp_path / "scans").mkdir()
     shutil.copy(world / "scans" / "millimetres.ply", tmp_path / "scans")

@@ -210,3 +210,26 @@ def test_killed_and_run_again_equals_uninterrupted(tmp_path):
     assert outcome.done == ["letters", "count"]
     for name in ("letters", "count.txt"):
         assert fingerprint(broken.folder / name) == fingerprint(whole.folder / name)
+
+
+def test_what_the_run_did_not_make_is_left_alone(work):
+    theirs = work.folder / "letters" / "mine.txt"
+    theirs.parent.mkdir()
+    theirs.write_text("by hand")
+    with pytest.raises(CaphyError, match="letters: is there already and not of this run"):
+        work.run()
+    assert theirs.read_text() == "by hand" and not work.runs
+
+
+def test_what_is_missing_beyond_the_outputs_is_made_again(work):
+    more = work.folder / "more.txt"
+
+    def make() -> None:
+        work.count()
+        more.write_text("")
+
+    stage = Stage("count", "counting", make, (work.source,), (work.folder / "count.txt",), whole=more.exists)
+    (work.folder / "letters").mkdir()
+    run_stages([stage], work.folder, lambda line: None)
+    more.unlink()
+    assert run_stages([stage], work.folder, lambda line: None).done == ["count"] and more.exists()

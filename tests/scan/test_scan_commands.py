@@ -61,3 +61,18 @@ def test_a_parser_that_is_not_there(scans, capsys):
 def test_capture_needs_a_folder_of_poses(tmp_path, capsys):
     assert main(["capture-sim", str(tmp_path / "out"), "--poses", str(tmp_path / "none")]) == 2
     assert "--poses must be a folder" in capsys.readouterr().err
+
+
+def test_labels_are_not_read_and_written_in_one_place(scans, tmp_path, capsys):
+    assert main(["segment", str(scans)]) == 1
+    assert main(["segment", str(scans), "--parser", "labels"]) == 2
+    assert "give another folder to write into with --out" in capsys.readouterr().err
+    assert main(["segment", str(scans), "--parser", "labels", "--out", str(tmp_path / "smoothed")]) == 1
+    assert f"give --labels {tmp_path / 'smoothed'}" in capsys.readouterr().out
+
+
+def test_numbers_of_others_are_not_given_their_meaning_twice(scans, capsys):
+    with (scans / "scans.toml").open("a") as file:
+        file.write("label_numbers = {body = [0, 1, 2], upper = [3], lower = [4]}\n")
+    assert main(["segment", str(scans)]) == 2
+    assert "label_numbers of scans.toml would be applied" in capsys.readouterr().err

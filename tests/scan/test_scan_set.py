@@ -208,3 +208,50 @@ def test_two_files_of_one_name(tmp_path):
     shutil.copy(tmp_path / "one.ply", tmp_path / "one.obj")
     with pytest.raises(CaphyError, match="several scans are named one"):
         ScanSet.read(tmp_path)
+
+
+def test_an_ascii_ply_is_read_like_a_binary_one(tmp_path):
+    _describe(tmp_path)
+    mesh = BOX.copy()
+    mesh.visual.vertex_colors = _coloured(len(mesh.vertices))
+    mesh.vertex_attributes["label"] = (np.arange(len(mesh.vertices)) % 3).astype(np.uint8)
+    (tmp_path / "one.ply").write_bytes(mesh.export(file_type="ply", encoding="ascii"))
+    (scan,) = ScanSet.read(tmp_path)
+    assert scan.vertices == pytest.approx(mesh.vertices, abs=1e-6)
+
+
+def test_labels_of_a_glb_are_in_the_order_of_its_vertices(tmp_path):
+    _describe(tmp_path)
+    mesh = BOX.copy()
+    order = np.random.default_rng(3).permutation(len(mesh.vertices))
+    mesh = trimesh.Trimesh(mesh.vertices[order], np.argsort(order)[mesh.faces], process=False)
+    labels = (mesh.vertices[:, 1] > 0.5).astype(np.uint8)
+    mesh.export(tmp_path / "one.glb")
+    (tmp_path / "labels").mkdir()
+    np.save(tmp_path / "labels" / "one.npy", labels)
+    (scan,) = ScanSet.read(tmp_path)
+    assert np.array_equal(scan.labels, scan.vertices[:, 1] > 0.5)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ('labels = "lables"', "lables: there is no such folder of labels"),
+        ("label_numbers = {body = [-1], upper = [3]}", "from 0 to 65535"),
+        ("label_numbers = {body = [99999999999]}", "from 0 to 65535"),
+    ],
+)
+def test_descriptions_that_cannot_be_followed(lines, words, tmp_path):
+    _describe(tmp_path, f'unit = "m"\nup_axis = "y"\n{lines}\n')
+    BOX.export(tmp_path / "one.ply")
+    with pytest.raises(CaphyError, match=words):
+        ScanSet.read(tmp_path)
+
+
+def test_a_description_with_a_byte_order_mark(tmp_path):
+    BOX.export(tmp_path / "one.ply")
+    (tmp_path / "scans.toml").write_text('unit = "m"\nup_axis = "y"\n', encoding="utf-8-sig")
+    assert len(ScanSet.read(tmp_path)) == 1
+    (tmp_path / "scans.toml").write_text('unit = ["m"]\nup_axis = "y"\n')
+    with pytest.raises(CaphyError, match="unit must be one of"):
+        ScanSet.read(tmp_path)

@@ -67,3 +67,20 @@ def test_nobody_there_and_no_address():
         Client(f"http://127.0.0.1:{port}").avatars()
     with pytest.raises(CaphyError, match="address"):
         Client("localhost:8000")
+
+
+def test_long_motions_are_resampled_and_sent_in_parts(url, motion, monkeypatch):
+    client = Client(url)
+    whole = client.frames("shell", motion)
+    monkeypatch.setattr("service.client.PART", 7)
+    parts = client.frames("shell", motion)
+    np.testing.assert_allclose(parts["tshirt"], whole["tshirt"], atol=5e-6)
+    fast = motion.resample(4 * motion.fps)
+    again = client.frames("shell", fast)
+    assert again["tshirt"].shape == whole["tshirt"].shape
+    np.testing.assert_allclose(again["tshirt"], whole["tshirt"], atol=1e-4)
+
+
+def test_parameters_that_are_none_are_told(url):
+    with pytest.raises(CaphyError, match="'garments' is no parameter here; there is garment"):
+        Client(url)._ask("POST", "/avatars/shell/frames?garments=tshirt", b"")

@@ -185,6 +185,21 @@ def test_hellos_that_are_refused(url, arguments, options, word):
         StreamClient(url, *arguments, **options)
 
 
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"encoding": "int4"}, "encoding must be one of float32"),
+        ({"credits": 10**6}, "credits must lie between 1 and 65535"),
+        ({"credits": -1}, "credits must lie between"),
+        ({"garments": ["hät"]}, "garment names are"),
+        ({"garments": ["h" * 50]}, "garment names are"),
+    ],
+)
+def test_hellos_that_cannot_be_said(url, options, word):
+    with pytest.raises(CaphyError, match=word):
+        StreamClient(url, "shell", **options)
+
+
 def test_nobody_there():
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))

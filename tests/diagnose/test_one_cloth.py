@@ -1,0 +1,54 @@
+"""All that a diagnosis is given must be of one cloth, and nothing may prove itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caphy.diagnose.checks import require_one_cloth
+from caphy.errors import CaphyError
+from caphy.io.measurements import Measurement
+from caphy.measure.scene import Scene
+
+
+def sheet(frames: int = 9, seed: int = 0) -> Measurement:
+    flat, faces = square(5)
+    moved = flat + 0.05 * np.random.default_rng(seed).normal(size=(frames, 1, 3))
+    return Measurement(f"sheet {seed}", 30.0, vertices=moved, faces=faces, rest_vertices=flat)
+
+
+def square(count: int) -> tuple[np.ndarray, np.ndarray]:
+    u, v = np.meshgrid(np.linspace(0, 0.4, count), np.linspace(0, 0.4, count))
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
+    a, b, c, d = corner, corner + 1, corner + count + 1, corner + count
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    return np.stack([u.ravel(), v.ravel(), 0 * u.ravel()], -1), faces
+
+
+def test_one_cloth_in_three_parts():
+    require_one_cloth(diagnosed=[sheet(seed=1)], base=[sheet(seed=2)], held_out=[sheet(seed=3)])
+    shrunk = sheet(seed=2)
+    require_one_cloth(diagnosed=[sheet(seed=1)], base=[replace(shrunk, rest_vertices=0.97 * shrunk.rest_vertices)])
+
+
+def test_other_cloth_is_told():
+    other = sheet(seed=2)
+    with pytest.raises(CaphyError, match=r"sheet 2: must be of the cloth of sheet 1, but its edges at rest are 0\.7"):
+        require_one_cloth(diagnosed=[sheet(seed=1)], base=[replace(other, rest_vertices=0.7 * other.rest_vertices)])
+    with pytest.raises(CaphyError, match="has other faces"):
+        require_one_cloth(diagnosed=[sheet(seed=1)], base=[replace(other, faces=other.faces[::-1])])
+
+
+def test_nothing_proves_itself():
+    with pytest.raises(CaphyError, match="is the held-out measurement, and sheet 1, the diagnosed one"):
+        require_one_cloth(diagnosed=[sheet(seed=1)], base=[], held_out=[sheet(seed=1)])
+
+
+@pytest.mark.parametrize("faces", [[[0, 1, 1]], [[0, 1, 6]], [[0, 6, 1]]])
+def test_meshes_that_are_no_cloth_are_told_with_their_file(faces):
+    given = sheet()
+    broken = replace(given, faces=np.concatenate([given.faces, faces]), source="bad.npz")
+    with pytest.raises(CaphyError, match=r"bad\.npz: faces must be an oriented manifold"):
+        Scene.of(broken)
