@@ -122,10 +122,11 @@ def check(
 ) -> None:
     """Say whether a mesh file (OBJ, PLY, GLB) can be a garment, and what to do if not; writes nothing."""
     mesh, marks = _read(file, options, body, betas)
-    from caphy.garment.from_mesh import rest_metric
+    from caphy.garment.from_mesh import garment_from_mesh
 
+    garment = garment_from_mesh(mesh, file.stem, marks, panel_scale=options.panel_scale)
     print(f"{file}: usable as a garment")
-    _describe(mesh, marks, rest_metric(mesh, marks, options.panel_scale)[1])
+    _describe(mesh, marks, garment.provenance["metric"])
 
 
 def from_mesh(
@@ -223,5 +224,7 @@ def _describe(mesh: UserMesh, marks: Landmarks, metric: str) -> None:
         f"  {100 * (distance < 0).mean():.1f} % of the vertices lie inside the body; "
         f"the lowest clearance is {1000 * distance.min():.1f} mm"
     )
+    if not topology.boundary_loops(mesh.faces):
+        print("  it has no openings, so that nobody could put it on")
     if (distance < 0).mean() > 0.02:
         print("  the garment must lie outside the body in T-pose: move it with --offset, or fit it in a mesh editor")

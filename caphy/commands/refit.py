@@ -66,6 +66,7 @@ def _refit(command: RefitCommand, model: Model) -> None:
 
     from caphy.body.model import BodyModel
     from caphy.diagnose.base import base_of
+    from caphy.diagnose.checks import require_one_cloth
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
     from caphy.refit.crew import Crew
@@ -76,8 +77,9 @@ def _refit(command: RefitCommand, model: Model) -> None:
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
+    calm = [read_measurement(path) for path in command.base]
+    require_one_cloth(measured=measured, base=calm, held_out=proof)
     with Progress("refit") as progress, Crew(command.effect_file) as crew:
-        calm = [read_measurement(path) for path in command.base]
         learned = base_of(model, calm, garment, body, progress, crew)
         found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
     print(table(found))

@@ -17,6 +17,10 @@ from caphy.garment.usermesh import UserMesh
 
 FARTHEST = 0.5
 """A garment whose middle vertex is farther [m] than this from the body is not on it."""
+WITHIN = 0.5
+"""Share of the vertices that may lie inside the body; solvers push out what is there by some millimetres."""
+INWARD = 0.7
+"""Share of the area that may look at the body, as folds and linings do."""
 
 
 def garment_from_mesh(
@@ -34,7 +38,7 @@ def garment_from_mesh(
     ``waistband`` holds the highest opening to the body. Regions are named after the joint that moves them most.
 
     Raises
-        CaphyError: if the mesh is nowhere near the body.
+        CaphyError: if the mesh is nowhere near the body, mostly within it, or inside out, or has faces without area.
     """
     distance = clearance(mesh, marks)
     if np.median(np.abs(distance)) > FARTHEST:
@@ -42,7 +46,23 @@ def garment_from_mesh(
             f"{name}: the garment must lie on the body, whose hips are at the origin, but is "
             f"{np.median(np.abs(distance)):.2f} m away at the median; pass --offset X Y Z in metres to move it"
         )
+    if (within := float((distance < 0).mean())) > WITHIN:
+        raise CaphyError(
+            f"{name}: the garment must lie outside the body in T-pose, but {100 * within:.0f} % of its vertices are "
+            "inside; move it with --offset, or fit it in a mesh editor"
+        )
+    if (inward := _inward(mesh, marks)) > INWARD:
+        raise CaphyError(
+            f"{name}: faces must be counter-clockwise seen from outside, but {100 * inward:.0f} % of its area looks "
+            "at the body; turn all faces over in a mesh editor (flip normals)"
+        )
     material, metric = rest_metric(mesh, marks, panel_scale)
+    flat = np.flatnonzero(topology.face_areas(material) <= 0)
+    if len(flat):
+        raise CaphyError(
+            f"{name}: every face needs an area, but {len(flat)} of {len(mesh.faces)} have none (first: face "
+            f"{flat[0]}); remove them in a mesh editor (merge by distance, dissolve degenerate)"
+        )
     weights = skinning_weights(mesh.vertices, mesh.faces, marks.body, marks.vertices)
     return Garment(
         name=name,
@@ -74,6 +94,15 @@ def rest_metric(mesh: UserMesh, marks: Landmarks, panel_scale: float = 1.0) -> t
 def clearance(mesh: UserMesh, marks: Landmarks) -> np.ndarray:
     """Signed distance (V,) [m] of the garment's vertices to the body, negative inside."""
     return nearest_on_surface(mesh.vertices, marks.vertices, marks.body.faces).distance
+
+
+def _inward(mesh: UserMesh, marks: Landmarks) -> float:
+    """Share of the area whose front looks at the nearest point of the body."""
+    corners = mesh.vertices[mesh.faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(area, axis=1)
+    outward = nearest_on_surface(corners.mean(axis=1), marks.vertices, marks.body.faces).normal
+    return float(size[(area * outward).sum(axis=1) < 0].sum() / max(size.sum(), 1e-300))
 
 
 def _top_band(mesh: UserMesh) -> np.ndarray:

@@ -78,6 +78,8 @@ def _read_obj(path: Path) -> RawMesh:
                 uv.append([float(x) for x in rest[:2]])
             elif word == "f":
                 corners = [c.split("/") for c in rest]
+                if len(corners) < 3:
+                    raise ValueError("a face needs three corners")
                 polygons.append([_index(c[0], len(vertices)) for c in corners])
                 uv_polygons.append([_index(c[1], len(uv)) for c in corners if len(c) > 1 and c[1]])
         except (ValueError, IndexError) as error:

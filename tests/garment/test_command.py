@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from caphy.cli import main
 from caphy.garment.template import Garment
 
@@ -22,3 +24,34 @@ def test_what_the_user_can_put_right_has_status_two_and_no_traceback(tmp_path, c
     assert "sleeve must lie between" in capsys.readouterr().err
     assert main(["garment", "check", str(tmp_path / "none.obj")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+def test_check_refuses_what_could_not_be_worn(tmp_path, capsys):
+    import trimesh
+
+    made = tmp_path / "shorts.npz"
+    assert main(["garment", "make", "shorts", "--edge-length", "0.04", "-o", str(made)]) == 0
+    garment = Garment.load(made)
+    flat = [*garment.faces.tolist(), [int(garment.faces[0, 0]), int(garment.faces[0, 1]), len(garment.vertices)]]
+    beside = [*garment.vertices.tolist(), garment.vertices[garment.faces[0, :2]].mean(axis=0).tolist()]
+    meshes = {
+        "good": (garment.vertices, garment.faces),
+        "turned": (garment.vertices, garment.faces[:, ::-1]),
+        "far": (garment.vertices + np.array([0, 0, 1.5]), garment.faces),
+        "thin": (garment.vertices * [0.3, 1, 0.3], garment.faces),
+        "line": (beside, [[a, c, b] if i == len(flat) - 1 else [a, b, c] for i, (a, b, c) in enumerate(flat)]),
+    }
+    said = {}
+    for name, (vertices, faces) in meshes.items():
+        trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / f"{name}.obj")
+        status = main(["garment", "check", str(tmp_path / f"{name}.obj")])
+        captured = capsys.readouterr()
+        said[name] = (status, captured.out + captured.err)
+    assert said["good"][0] == 0 and "usable as a garment" in said["good"][1]
+    assert said["turned"][0] == 2 and "flip normals" in said["turned"][1]
+    assert said["far"][0] == 2 and "must lie on the body" in said["far"][1]
+    assert said["thin"][0] == 2 and "must lie outside the body" in said["thin"][1]
+    assert said["line"][0] == 2
+    (tmp_path / "edge.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n")
+    assert main(["garment", "check", str(tmp_path / "edge.obj")]) == 2
+    assert "a face needs three corners" in capsys.readouterr().err

@@ -215,3 +215,15 @@ def test_real_knits(shared_data):
     assert share["with effects"] < 0.5 * share["parameters"] < 0.5 * share["as given"]
     assert answer.summary["floor_relative"] < 0.1
     assert not answer.complete and "none of the known effects" in " ".join(answer.sentences).lower()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"force": lambda force: 0 * force}, "its force is zero throughout"),
+        ({"axial": lambda axial: 1 + axial}, "must start near 0"),
+    ],
+)
+def test_tables_of_something_else_are_told(changes, message):
+    with pytest.raises(CaphyError, match=message):
+        bad(**changes)

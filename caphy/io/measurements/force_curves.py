@@ -14,6 +14,7 @@ from caphy.errors import CaphyError
 
 COLUMNS: Final = ("axial_strain", "transverse_strain", "force_per_width_N_per_m")
 KNIT_COLUMNS: Final = ("sample", "video", "force_per_width_N_per_m", "gauge_len_mm", "pin_transverse_mm")
+_RATIO: Final = 0.5  # smallest strain of a curve from which on lengths over rest lengths were given
 UNLOADED: Final = 1.0
 """Force per width below which a sample counts as unloaded [N/m]; load cells of such tests resolve about 0.1."""
 
@@ -49,6 +50,13 @@ class ForceCurve:
                 )
             if name != "transverse" and not np.isfinite(column).all():
                 raise CaphyError(f"{where}: {name} must be finite, got NaN or infinity at row {_first_bad(column)}")
+        if not self.force.any():
+            raise CaphyError(f"{where}: its force is zero throughout; give the force per width [N/m] of each row")
+        if self.axial.min() > _RATIO:
+            raise CaphyError(
+                f"{where}: axial strains must start near 0, got {self.axial.min():.3g} at least; a strain is a length "
+                "over the rest length, less one"
+            )
         if self.direction not in ("weft", "warp"):
             raise CaphyError(f"{where}: direction must be 'weft' or 'warp', got {self.direction!r}")
         if np.abs(self.axial).max() > 5 or np.nanmax(np.abs(self.transverse), initial=0) > 5:
