@@ -65,13 +65,13 @@ def segment_scans(run: Path, layout: str) -> None:
     from caphy.scan.scan_set import ScanSet
 
     labels = run / LABELS
-    segment.main([str(run / SCANS), "-o", str(labels), "--parser", read(run, CHECKED)["parser"], "--layout", layout])
-    left_out: dict[str, str] = {}
+    command = segment.Segment(run / SCANS, labels, read(run, CHECKED)["parser"], layout)
+    left_out = segment.label(command)
     shown: dict[str, int] = dict.fromkeys(KINDS, 0)
     scans = ScanSet.read(run / SCANS, labels)
     for scan in scans:
         if scan.labels is None:
-            left_out[scan.name] = "could not be segmented; see the stage's log"
+            left_out.setdefault(scan.name, "has no labels; see the stage's log")
             continue
         severe = [finding.message for finding in check_scan(scan) if finding.severe]
         if severe:

@@ -39,9 +39,17 @@ class Segment:
 
 def main(arguments: list[str]) -> int:
     """Run ``caphy segment`` with the arguments after it."""
+    return 1 if label(tyro.cli(Segment, args=arguments, prog="caphy segment")) else 0
+
+
+def label(command: Segment) -> dict[str, str]:
+    """Label scans; the names of those that could not be, and why.
+
+    Raises:
+        CaphyError: none could, or labels would be read and written in one place.
+    """
     from caphy.scan.scan_set import ScanSet
 
-    command = tyro.cli(Segment, args=arguments, prog="caphy segment")
     scans = ScanSet.read(command.scans)
     out = command.out or command.scans / "labels"
     by_itself = out.resolve() == (scans.labels or command.scans / "labels").resolve()
@@ -56,7 +64,7 @@ def main(arguments: list[str]) -> int:
         print(_sheet(command.render, ScanSet.read(command.scans, out), set(failed)))
     if not done:
         raise CaphyError(f"{command.scans}: no scan could be segmented; see the messages above")
-    return 0 if not failed else 1
+    return failed
 
 
 def _require_apart(command: Segment, scans: ScanSet, out: Path, by_itself: bool) -> None:
@@ -70,11 +78,12 @@ def _require_apart(command: Segment, scans: ScanSet, out: Path, by_itself: bool)
         )
 
 
-def _segment_all(scans: ScanSet, out: Path, method: Callable[[Scan], np.ndarray]) -> list[str]:
-    """Label every scan that has no labels yet; the names of those that failed."""
+def _segment_all(scans: ScanSet, out: Path, method: Callable[[Scan], np.ndarray]) -> dict[str, str]:
+    """Label every scan that has no labels yet; the names of those that failed, and why."""
     from caphy.scan.scan_set import write_labels
 
-    failed, started, fresh = [], monotonic(), 0
+    failed: dict[str, str] = {}
+    started, fresh = monotonic(), 0
     for index, name in enumerate(scans.names):
         path = out / f"{name}.npy"
         if path.is_file():
@@ -83,7 +92,7 @@ def _segment_all(scans: ScanSet, out: Path, method: Callable[[Scan], np.ndarray]
             write_labels(path, method(scans[index]))
         except CaphyError as error:
             print(f"left out {name}: {error}", flush=True)
-            failed.append(name)
+            failed[name] = str(error)
             continue
         fresh += 1
         left = (monotonic() - started) / fresh * (len(scans) - index - 1)

@@ -52,6 +52,7 @@ class Ranked:
         linear: first estimate of each number.
         refitted: share of the misfit gone after the refit, where it was refitted.
         noticed: smallest size of each number that would have been noticed here.
+        units: of each number; "relative" of a change of what the model has.
     """
 
     label: str
@@ -63,6 +64,7 @@ class Ranked:
     linear: dict[str, float]
     refitted: float | None
     noticed: dict[str, float]
+    units: dict[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,9 +317,9 @@ def _ranking(found: Search, sure_of_parameters: bool) -> list[Ranked]:
         refitted = tried.get(label)
         linear = dict(zip(names, map(float, score.change), strict=True))
         noticed = {name: float(s) for name, s in zip(names, size, strict=True) if np.isfinite(s) and s < 1e12}
-        ranking.append(
-            Ranked(label, score.group.name, score.group.own, score.gain, needed, score.wald, linear, refitted, noticed)
-        )
+        units = {c.name: "relative" if c.entry is None else c.unit for c in score.group.columns}
+        of = score.group
+        ranking.append(Ranked(label, of.name, of.own, score.gain, needed, score.wald, linear, refitted, noticed, units))
     return ranking
 
 

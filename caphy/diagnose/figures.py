@@ -60,6 +60,7 @@ def figures(diagnosis: Diagnosis) -> dict:
                 "first_estimate": r.linear,
                 "gain_after_refit": r.refitted,
                 "noticed_above": r.noticed,
+                "units": r.units,
             }
             for r in diagnosis.ranking
         ],
@@ -113,7 +114,9 @@ def _answer(diagnosis: Diagnosis) -> str:
             f"{100 * diagnosis.outside.library:.0f} %. Write it with: caphy effects new my_effect"
         )
     limit = ", ".join(
-        f"{name} {value:.2g}" for r in diagnosis.ranking[:3] for name, value in list(r.noticed.items())[:1]
+        f"{name} {value:.2g}{_unit(r.units[name])}"
+        for r in diagnosis.ranking[:3]
+        for name, value in list(r.noticed.items())[:1]
     )
     least = f"where {100 * diagnosis.needed:.1f} % are needed"
     if diagnosis.search.terms:  # accepted, and taken back
@@ -133,6 +136,14 @@ def _coefficient(name: str, c: Coefficient) -> str:
     return f"{name} = {c.value:.3g}{unit} (95 %: {c.low:.3g} to {c.high:.3g})."
 
 
+def _in_unit(name: str, value: float, unit: str) -> str:
+    return f"{name.split('.', 1)[1]} {value:.3g}{_unit(unit)}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
 def _listed(names) -> str:
     names = list(names)
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
@@ -142,7 +153,7 @@ def table(diagnosis: Diagnosis) -> str:
     """The first explanations as lines of text."""
     rows = [f"{'explanation':34s} {'gain':>7s} {'Wald':>8s} {'refit':>7s}  first estimate"]
     for r in diagnosis.ranking[:_LISTED]:
-        numbers = ", ".join(f"{name.split('.', 1)[1]} {value:.3g}" for name, value in list(r.linear.items())[:3])
+        numbers = ", ".join(_in_unit(name, value, r.units[name]) for name, value in list(r.linear.items())[:3])
         refit = "" if r.refitted is None else f"{100 * r.refitted:.1f} %"
         rows.append(f"{r.label:34s} {100 * r.gain:6.1f} % {r.wald:7.0f} {refit:>7s}  {numbers}")
     return "\n".join(rows)

@@ -170,6 +170,20 @@ FAMILIES: Mapping[str, type[Family]] = {
 }
 
 
+RANGES: Mapping[str, tuple[float, float]] = {
+    "edge_length": (0.006, 0.05),
+    "ease": (-0.01, 0.5),
+    "sleeve_ease": (-0.01, 0.3),
+    "leg_ease": (-0.01, 0.3),
+    "flare": (0.0, 2.0),
+    "taper": (0.0, 1.0),
+    "neck_width": (-0.02, 0.15),
+    "neck_depth": (-0.03, 0.3),
+    "layer_thickness": (0.0, 0.1),
+}
+"""What options of families may be, on any body; lengths [m], flare and taper metres per metre."""
+
+
 def default_rise(marks: Landmarks) -> float:
     """Height of a waistband above the crotch that sits just under the natural waist."""
     return 0.13 * marks.height
@@ -178,7 +192,7 @@ def default_rise(marks: Landmarks) -> float:
 def _between(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         raise CaphyError(
-            f"{name} must lie between {low:.3f} and {high:.3f} m on this body, got {value:.3f} m; "
+            f"{name} must lie between {low:.3f} and {high:.3f} on this body (lengths in metres), got {value:.3f}; "
             "give another value or leave it out for one proportioned to the body"
         )
 
@@ -189,7 +203,9 @@ def make(family: Family, body: BodyModel, betas: np.ndarray | None = None) -> Ga
     Raises
         CaphyError: if an option does not fit the body; the message names its range.
     """
-    _between("edge_length", family.edge_length, 0.006, 0.05)
+    for name, (low, high) in RANGES.items():
+        if hasattr(family, name):
+            _between(name, getattr(family, name), low, high)
     marks = Landmarks.of(body, betas)
     cut = family.cut(marks)
     vertices, faces = contour(cut.surface, cut.low, cut.high, min(0.01, 0.45 * family.edge_length))

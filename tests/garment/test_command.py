@@ -22,6 +22,9 @@ def test_make_info_check_render(tmp_path, capsys):
 def test_what_the_user_can_put_right_has_status_two_and_no_traceback(tmp_path, capsys):
     assert main(["garment", "make", "tshirt", "--sleeve", "3", "-o", str(tmp_path / "x.npz")]) == 2
     assert "sleeve must lie between" in capsys.readouterr().err
+    for option, value in (("--ease", "-0.1"), ("--ease", "3"), ("--layer-thickness", "-1"), ("--neck-depth", "1")):
+        assert main(["garment", "make", "tshirt", option, value, "-o", str(tmp_path / "x.npz")]) == 2
+        assert f"{option[2:].replace('-', '_')} must lie between" in capsys.readouterr().err
     assert main(["garment", "check", str(tmp_path / "none.obj")]) == 2
     assert "no such file" in capsys.readouterr().err
 
