@@ -329,16 +329,16 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
 
 
 def _told(options: Train) -> dict[str, Any]:
-    """Options ready for JSON; paths within the run that the folder is two levels down in are relative to the folder,
-    so that the run may be moved."""
-    folder = options.output.resolve()
+    """Options ready for JSON. Where the folder lies in the run that ``--scans`` names, paths within that run are
+    relative to the folder, so that the run may be moved."""
+    folder, run = options.output.resolve(), None if options.scans is None else options.scans.resolve()
 
     def plain(value: Any) -> Any:
         if isinstance(value, tuple):
             return [plain(one) for one in value]
         if not isinstance(value, Path):
             return value
-        within = value.resolve().is_relative_to(folder.parents[min(1, len(folder.parents) - 1)])
+        within = run is not None and folder.is_relative_to(run) and value.resolve().is_relative_to(run)
         return os.path.relpath(value.resolve(), folder) if within else str(value.resolve())
 
     return {field.name: plain(getattr(options, field.name)) for field in fields(Train)}
@@ -354,12 +354,17 @@ def _require_same(options: Train, garment: Garment, trained: list[PoseSequence])
         worn = Garment.load(options.output / "garment.npz")
     except (OSError, ValueError, KeyError, CaphyError):
         return  # nothing was begun there, which the checkpoint's absence tells
-    now = _told(options)
+    now, folder = _told(options), options.output.resolve()
     may = {"resume", "output", "minutes", "steps", "device", "poses", "garment", "effect_file"}
-    other = [name for name in now if name not in may and name in before and now[name] != before[name]]
+    both = [
+        (field.name, *(_option(field.type, given[field.name], folder) for given in (before, now)))
+        for field in fields(Train)
+        if field.name in before and field.name not in may
+    ]
+    other = [(name, was, given) for name, was, given in both if was != given]
     if other:
-        name = other[0]
-        what = f"with --{name.replace('_', '-')} {before[name]}, not {now[name]}"
+        name, was, given = other[0]
+        what = f"with --{name.replace('_', '-')} {was}, not {given}"
     elif worn.vertices.shape != garment.vertices.shape or not (worn.faces == garment.faces).all():
         what = f"on another garment, of {len(worn.vertices)} vertices"
     elif clips != [Path(clip.source).name for clip in trained]:

@@ -88,15 +88,18 @@ def test_another_training_is_not_gone_on_with(inputs, capsys):
     assert kept == ((inputs / "run" / "run.json").read_text(), (inputs / "run" / "model.json").read_text())
 
 
-def test_a_moved_run_goes_on(inputs):
-    from caphy.commands.train import reopen
+def test_what_lies_in_the_run_is_remembered_so_that_it_may_be_moved(tmp_path):
+    from caphy.commands.train import Train, _option, _told
 
-    (inputs / "session").mkdir()
-    (inputs / "tube.npz").rename(inputs / "session" / "tube.npz")
-    whole = ["train", str(inputs / "session" / "tube.npz"), str(inputs / "motions"), "--steps", "1"]
-    assert main([*whole, "-o", str(inputs / "session" / "train" / "lower")]) == 0
-    (inputs / "session").rename(inputs / "elsewhere")
-    assert reopen(inputs / "elsewhere" / "train" / "lower").network.fps == 30
+    run, walk = tmp_path / "run", tmp_path / "walk.npz"
+    told = _told(Train(run / "upper.npz", (walk,), run / "train" / "upper", scans=run, body=run / "body.npz"))
+    assert (told["garment"], told["body"], told["scans"]) == ("../../upper.npz", "../../body.npz", "../..")
+    assert told["poses"] == [str(walk)]
+    moved = tmp_path / "elsewhere" / "train" / "upper"
+    assert _option("Path", told["garment"], moved) == tmp_path / "elsewhere" / "upper.npz"
+    assert _option("tuple[Path, ...]", told["poses"], moved) == (walk,)
+    alone = _told(Train(tmp_path / "tube.npz", (walk,), tmp_path / "alone"))
+    assert alone["garment"] == str(tmp_path / "tube.npz")
 
 
 def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):
