@@ -191,8 +191,9 @@ def default_rise(marks: Landmarks) -> float:
 
 def _between(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
+        unit = "" if name in ("flare", "taper") else " m"
         raise CaphyError(
-            f"{name} must lie between {low:.3f} and {high:.3f} on this body (lengths in metres), got {value:.3f}; "
+            f"{name} must lie between {low:.3f} and {high:.3f}{unit} on this body, got {value:.3f}{unit}; "
             "give another value or leave it out for one proportioned to the body"
         )
 
