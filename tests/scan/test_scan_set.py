@@ -218,6 +218,8 @@ def test_an_ascii_ply_is_read_like_a_binary_one(tmp_path):
     (tmp_path / "one.ply").write_bytes(mesh.export(file_type="ply", encoding="ascii"))
     (scan,) = ScanSet.read(tmp_path)
     assert scan.vertices == pytest.approx(mesh.vertices, abs=1e-6)
+    assert np.array_equal(scan.colours, mesh.visual.vertex_colors[:, :3])
+    assert np.array_equal(scan.labels, mesh.vertex_attributes["label"])
 
 
 def test_labels_of_a_glb_are_in_the_order_of_its_vertices(tmp_path):
