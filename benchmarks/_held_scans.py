@@ -10,7 +10,8 @@ import torch
 
 from caphy.network.garment_network import GarmentNetwork
 from caphy.register.points import ScanPoints
-from caphy.training.scans import Chamfer, Target
+from caphy.training.counterparts import Target
+from caphy.training.scans import Chamfer
 from caphy.training.validate import static_drape
 
 

@@ -25,10 +25,10 @@ from caphy.register.points import ScanPoints, read_points
 from caphy.report.camera import Camera
 from caphy.report.render import CLOTH, SKIN, Shape, contact_sheet, render, write_png
 from caphy.training.collide import DEEP
+from caphy.training.counterparts import Target
 from caphy.training.layers import Layers
 from caphy.training.loop import Trainer
 from caphy.training.motions import find_poses
-from caphy.training.scans import Target
 
 EVERY = 10
 """Frames of the motions that are looked at: each tenth."""

@@ -25,7 +25,8 @@ from caphy.io.poses import PoseSequence
 from caphy.register.points import ScanPoints, read_points
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
-from caphy.training.scans import Chamfer, Target
+from caphy.training.counterparts import Target
+from caphy.training.scans import Chamfer
 
 _STRAIN = ("strain_measured", "strain_stvk")
 _REST = 1e-6

@@ -21,8 +21,9 @@ from benchmarks._held_scans import apart, held
 from caphy.commands.train import Train, prepare, reopen
 from caphy.register.points import read_points
 from caphy.register.subject import SUBJECT_BODY
+from caphy.training.counterparts import Target
 from caphy.training.loop import Trainer
-from caphy.training.scans import Chamfer, Target
+from caphy.training.scans import Chamfer
 from caphy.training.track import Track
 
 

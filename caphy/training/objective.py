@@ -11,11 +11,10 @@ from torch import Tensor
 
 from caphy.body.model import BodyModel
 from caphy.body.skinning import blend_transforms, skin
-from caphy.body.surface import Surface
 from caphy.effects.base import BodyState, Step
 from caphy.effects.potential import Potential
-from caphy.training.in_threads import in_threads
 from caphy.training.motions import Motions
+from caphy.training.skin_seen import skin_seen
 from caphy.training.streams import Windows
 
 
@@ -54,9 +53,7 @@ class Objective:
         """``template`` (V, 3) [m] and ``weights`` (V, 55) are the network's, in float32."""
         self.potential, self.body, self.betas, self.dt = potential, body, betas, 1 / fps
         self.template, self.weights = template, weights
-        rest = body.rest(betas)[0]
-        self.surface = Surface.of(body.faces, rest)
-        self._usual = self.surface.nearest(template.cpu().numpy(), rest).face  # a good guess all the time
+        self.seen = skin_seen(body, betas, template)
 
     def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Past]:
         """Potential (B, K) [J] of the scored frames, and the streams' past after the windows.
@@ -106,18 +103,6 @@ class Objective:
         """What the vertices at x (B, K, V, 3) see of the body in the scored frames, moving as since the last frame."""
         frames = np.take_along_axis(windows.frames, windows.scored, 1).reshape(-1)
         last = frames - np.repeat(~windows.held, windows.scored.shape[1])
-        posed = np.concatenate([frames, last])
-        bodies = self.body.pose(motions.poses[posed], motions.transl[posed], self.betas)
-        now, earlier = bodies[: len(frames)], bodies[len(frames) :]
-        points = x.flatten(0, 1).cpu().numpy()
-        result = np.empty((3, *points.shape), dtype=np.float32)
-
-        def look(i: int) -> None:
-            found = self.surface.nearest(points[i], now[i], self._usual)
-            corners = earlier[i][self.surface.faces[found.face]]
-            result[0, i], result[1, i] = found.point, found.normal
-            result[2, i] = (found.point - np.einsum("vk,vkc->vc", found.barycentric, corners)) / self.dt
-
-        in_threads(look, len(points))
-        point, normal, velocity = torch.from_numpy(result).to(x).unflatten(1, x.shape[:2])
+        seen = self.seen(motions, frames, last, x.flatten(0, 1), self.dt)
+        point, normal, velocity = (each.unflatten(0, x.shape[:2]) for each in seen)
         return BodyState(point, normal, velocity, anchor)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,91 +21,18 @@ from caphy.body.surface import Surface
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
-from caphy.register.cloud import even_sample
 from caphy.register.points import ScanPoints
-from caphy.training.in_threads import in_threads
+from caphy.training.counterparts import Counterparts, Grouped, Target, look
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective, Past
 from caphy.training.streams import HELD_WINDOWS, WINDOW, Windows
 
 LAMBDA_3D = 3000.0
 """Weight of the squared distances [J/m^2]; see docs/supervised.md for how it was chosen."""
-SAMPLE = 2500
-"""Points of a scan's garment that are held against the cloth: spread evenly, 2 cm apart on a shirt."""
 FARTHEST = 0.10
 """A point farther than this from the cloth [m] has no counterpart (a wrong label): it does not pull."""
-UNSEEN = 0.03
-"""Cloth farther than this from everything that the scan shows [m] was seen by no camera: it is not pulled."""
-THINNED = 20_000
-"""Points of a scan that are kept to tell what no camera saw: under 2 cm apart."""
-LEAST_POINTS = 50
-"""Points below which a scan does not show a garment."""
 RANDOM_EPOCHS, SCAN_EPOCHS = 1, 4
 """Turns of random poses and of the scans' (CaPhy, section 4.1)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """One garment in one scan."""
-
-    sample: np.ndarray
-    """Points of it spread evenly (N, 3) [m]."""
-    cloth: KDTree
-    """All its points."""
-    over: KDTree | None
-    """Points of what is worn over it, if anything is."""
-    everything: KDTree
-    """Points of the whole scan, thinned."""
-
-    @classmethod
-    def of(cls, scan: ScanPoints, worn: str, over: Sequence[str]) -> Target:
-        """The garment ``worn`` (a part of the scan's points) with the parts worn ``over`` it.
-
-        Raises:
-            CaphyError: the scan shows next to nothing of it.
-        """
-        own = getattr(scan, worn).astype(np.float64)
-        if len(own) < LEAST_POINTS:
-            raise CaphyError(
-                f"{scan.name}: has {len(own)} points of the {worn} garment, at least {LEAST_POINTS} are needed; check "
-                "its labels, or take it out of split.json"
-            )
-        above = [getattr(scan, part) for part in over if len(getattr(scan, part))]
-        shown = np.concatenate([scan.body, scan.upper, scan.lower])
-        some = np.random.default_rng(0).permutation(len(shown))[:THINNED]
-        return cls(
-            own[even_sample(own, SAMPLE)] if len(own) > SAMPLE else own,
-            KDTree(own),
-            KDTree(np.concatenate(above)) if above else None,
-            KDTree(shown[some]),
-        )
-
-    def counterparts(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The point (V, 3) of the scan's garment nearest to each vertex x (V, 3), and which vertices (V,) it shows.
-
-        It does not show what lies under another garment (a point of that is nearer), nor what no camera saw.
-        """
-        distance, nearest = self.cloth.query(x)
-        shown = np.ones(len(x), dtype=bool)
-        if self.over is not None:
-            shown &= self.over.query(x, distance_upper_bound=distance.max() + 1e-9)[0] > distance
-        far = np.flatnonzero(shown & (distance > UNSEEN))
-        if len(far):
-            shown[far] = self.everything.query(x[far], distance_upper_bound=UNSEEN)[0] < UNSEEN
-        return self.cloth.data[nearest], shown
-
-
-class Counterparts(NamedTuple):
-    """What lies nearest to what, between cloth of V vertices and a scan's sample of N points."""
-
-    point: np.ndarray
-    """The scan's point nearest to each vertex (V, 3) [m]."""
-    shown: np.ndarray
-    """Whether the scan shows the vertex (V,)."""
-    face: np.ndarray
-    """The cloth's face nearest to each point (N,)."""
-    barycentric: np.ndarray
-    """Where on it (N, 3)."""
 
 
 class Chamfer:
@@ -123,31 +49,25 @@ class Chamfer:
         """Faces (F, 3), rest vertices (V, 3) [m] and vertex areas (V,) [m^2] of the garment."""
         self.surface, self.area = Surface.of(faces, rest), torch.as_tensor(area, dtype=torch.float32)
 
-    def __call__(self, x: Tensor, target: Target, found: Counterparts | None = None) -> Tensor:
-        """Sum of both mean squared distances [m^2] of vertices x (V, 3), differentiable.
+    def __call__(self, x: Tensor, targets: Sequence[Target]) -> Tensor:
+        """Sums (B,) of both mean squared distances [m^2] of vertices x (B, V, 3) in scans, differentiable."""
+        return self.apart(x, look(self.surface, x, targets))
 
-        ``found``: what :meth:`look` found at these vertices, if it has looked.
-        """
-        found = self.look(x.detach().cpu().double().numpy(), target) if found is None else found
-        return self.to_points(x, found) + self.to_cloth(x, found, target)
-
-    def look(self, x: np.ndarray, target: Target) -> Counterparts:
-        """The nearest points of cloth at x (V, 3) and scan, on the CPU."""
-        back = self.surface.nearest(target.sample, x)
-        return Counterparts(*target.counterparts(x), np.asarray(back.face), np.asarray(back.barycentric))
+    def apart(self, x: Tensor, found: Counterparts) -> Tensor:
+        """The same at the counterparts that were found for x."""
+        return self.to_points(x, found) + self.to_cloth(x, found)
 
     def to_points(self, x: Tensor, found: Counterparts) -> Tensor:
-        """Mean squared distance of the cloth from the scan's points [m^2]."""
-        weight = self.area.to(x) * torch.from_numpy(found.shown).to(x)
-        square = (x - torch.from_numpy(found.point).to(x)).square().sum(-1)
-        return (weight * square).sum() / weight.sum().clamp_min(1e-12)
+        """Mean squared distances (B,) of the cloth from the scans' points [m^2]."""
+        weight = self.area.to(x) * found.shown
+        square = (x - found.point).square().sum(-1)
+        return (weight * square).sum(-1) / weight.sum(-1).clamp_min(1e-12)
 
-    def to_cloth(self, x: Tensor, found: Counterparts, target: Target) -> Tensor:
-        """Mean squared distance of the scan's points from the cloth [m^2]."""
-        share = torch.from_numpy(found.barycentric).to(x)
-        corners = x[torch.from_numpy(self.surface.faces[found.face]).to(x.device)]
-        square = ((share[..., None] * corners).sum(-2) - torch.from_numpy(target.sample).to(x)).square().sum(-1)
-        return square.clamp_max(FARTHEST**2).mean()
+    def to_cloth(self, x: Tensor, found: Counterparts) -> Tensor:
+        """Mean squared distances (B,) of the scans' points from the cloth [m^2]."""
+        corners = x.gather(1, found.corners.flatten(1)[..., None].expand(-1, -1, 3)).unflatten(1, (-1, 3))
+        square = ((found.barycentric[..., None] * corners).sum(-2) - found.sample).square().sum(-1)
+        return (found.share * square.clamp_max(FARTHEST**2)).sum(-1)
 
 
 class ScanStreams:
@@ -190,18 +110,23 @@ class ScanLoss:
         """``targets`` in the order of the motions' frames; ``weight`` is lambda_3d [J/m^2]."""
         self.objective, self.chamfer, self.targets = objective, chamfer, targets
         self.weight, self.physics = weight, physics
+        self._grouped: Grouped | None = None
         self.distance = 0.0
         """Root mean square of both sides' distances in the last call [m]."""
 
     def judge(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Tensor, Past]:
         """Positions (B, 1, V, 3) [m] and loss (B, 1) [J] at offsets (B, 1, V, 3) in the last frame of each window."""
         x, potential = self._cloth(motions, windows, offsets)
-        targets = [self.targets[scan] for scan in windows.frames[:, -1].tolist()]
-        still = x[:, 0].detach().cpu().double().numpy()
-        found = in_threads(lambda i: self.chamfer.look(still[i], targets[i]), len(targets))
-        squares = torch.stack([self.chamfer(*each) for each in zip(x[:, 0], targets, found, strict=True)])
+        squares = self.chamfer.apart(x[:, 0], self._look(x[:, 0], windows.frames[:, -1].tolist()))
         self.distance = float((0.5 * squares.detach().mean()).sqrt())
         return x, potential + self.weight * squares[:, None], past
+
+    def _look(self, x: Tensor, scans: Sequence[int]) -> Counterparts:
+        if x.device.type == "cpu":
+            return look(self.chamfer.surface, x, [self.targets[scan] for scan in scans])
+        if self._grouped is None:
+            self._grouped = Grouped(self.chamfer.surface, self.targets, x.device)
+        return self._grouped.look(x, scans)
 
     def _cloth(self, motions: Motions, windows: Windows, offsets: Tensor) -> tuple[Tensor, Tensor]:
         """World positions (B, 1, V, 3) [m] and their potential (B, 1) [J]."""

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.spatial import KDTree
 
 from caphy.body.bundled import default_body
-from caphy.body.surface import Surface, nearest_on_faces, nearest_on_surface
+from caphy.body.grouped import GroupedClouds, GroupedSurface
+from caphy.body.surface import NearestPoints, Surface, nearest_on_faces, nearest_on_surface
 from caphy.errors import CaphyError
 
 
@@ -30,16 +32,26 @@ def body_and_points(count=400, spread=0.03):
     return vertices, body.faces, chosen + random.normal(size=(count, 3)) * spread
 
 
+def nearest_in_groups(points, vertices, faces):
+    """Of one frame, in double precision, as :func:`nearest_on_surface`."""
+    groups = GroupedSurface(Surface.of(faces, vertices))
+    found = groups.nearest(torch.from_numpy(points)[None], torch.from_numpy(np.array(vertices))[None])
+    return NearestPoints(*(field[0].numpy() for field in found))
+
+
+both_ways = pytest.mark.parametrize("nearest", [nearest_on_surface, nearest_in_groups], ids=["tree", "groups"])
+
 CUBE = trimesh.creation.box((2, 2, 2))
 SPIKE = trimesh.Trimesh(
     [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 4]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
 )
 
 
+@both_ways
 @pytest.mark.parametrize("spread", [0.005, 0.05, 0.5])
-def test_body_against_exhaustive_search(spread):
+def test_body_against_exhaustive_search(spread, nearest):
     vertices, faces, points = body_and_points(spread=spread)
-    found = nearest_on_surface(points, vertices, faces)
+    found = nearest(points, vertices, faces)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     _, distance, _ = trimesh.proximity.closest_point_naive(mesh, points)
     np.testing.assert_allclose(np.abs(found.distance), distance, atol=1e-12)
@@ -50,29 +62,32 @@ def test_body_against_exhaustive_search(spread):
     assert found.barycentric.min() >= 0
 
 
-def test_sign_of_the_resting_body_is_its_winding_number():
+@both_ways
+def test_sign_of_the_resting_body_is_its_winding_number(nearest):
     body = default_body()
     random = np.random.default_rng(1)
     points = body.v_template[random.integers(0, len(body.v_template), 400)] + random.normal(size=(400, 3)) * 0.02
     inside = winding_number(points, body.v_template, body.faces) > 0.5
-    np.testing.assert_array_equal(nearest_on_surface(points, body.v_template, body.faces).distance < 0, inside)
+    np.testing.assert_array_equal(nearest(points, body.v_template, body.faces).distance < 0, inside)
     assert 100 < inside.sum() < 300
 
 
+@both_ways
 @pytest.mark.parametrize("mesh", [CUBE, SPIKE], ids=["cube", "spike"])
-def test_signs_beside_sharp_edges_and_corners(mesh):
+def test_signs_beside_sharp_edges_and_corners(mesh, nearest):
     random = np.random.default_rng(2)
     corners = np.repeat(mesh.vertices, 200, axis=0)
     points = corners + random.normal(size=corners.shape) * 0.05
     inside = winding_number(points, mesh.vertices, mesh.faces) > 0.5
-    np.testing.assert_array_equal(nearest_on_surface(points, mesh.vertices, mesh.faces).distance < 0, inside)
+    np.testing.assert_array_equal(nearest(points, mesh.vertices, mesh.faces).distance < 0, inside)
 
 
-def test_cube_closed_form():
+@both_ways
+def test_cube_closed_form(nearest):
     points = np.array(
         [[0, 0, 3], [3, 3, 0], [2, 2, 2], [0.5, 0, 0.9], [1, 0.2, 0.1], [1, 1, 0], [1, 1, 1]], dtype=float
     )
-    found = nearest_on_surface(points, CUBE.vertices, CUBE.faces)
+    found = nearest(points, CUBE.vertices, CUBE.faces)
     s = np.sqrt(0.5)
     np.testing.assert_allclose(found.distance, [2, 2 * np.sqrt(2), np.sqrt(3), -0.1, 0, 0, 0], atol=1e-12)
     normals = [[0, 0, 1], [s, s, 0], [3**-0.5] * 3, [0, 0, 1], [1, 0, 0], [s, s, 0], [3**-0.5] * 3]
@@ -179,3 +194,43 @@ def test_faces_without_area_change_nothing(corners):
     found = nearest_on_surface(points, vertices, faces)
     np.testing.assert_allclose(np.abs(found.distance), np.abs(wanted.distance), atol=1e-12)
     np.testing.assert_allclose(found.point, wanted.point, atol=1e-12)
+
+
+def test_groups_are_exact_in_many_frames_and_far_from_the_origin():
+    """Single precision, frames in different poses, each in a place of its own; points on the skin among them."""
+    body, random = default_body(), np.random.default_rng(3)
+    away = np.array([[0, 0, 0], [30, 1, -40], [0, 5, 0]])
+    vertices = body.pose(0.3 * random.normal(size=(3, 55, 3)), away)
+    chosen = random.integers(0, len(body.v_template), (3, 500))
+    points = np.stack([v[c] for v, c in zip(vertices, chosen, strict=True)])
+    points[:, 100:] += random.normal(size=(3, 400, 3)) * np.linspace(0.001, 0.2, 400)[:, None]
+    groups = GroupedSurface(Surface.of(body.faces, body.v_template))
+    found = groups.nearest(torch.from_numpy(points).float(), torch.from_numpy(vertices).float())
+    for frame in range(3):
+        exact = nearest_on_surface(points[frame], vertices[frame], body.faces)
+        close = 1e-6 if frame != 1 else 1e-5  # what single precision knows of a place 50 m away
+        np.testing.assert_allclose(found.distance[frame], exact.distance, atol=close)
+        off = np.abs(exact.distance) > 1e-3
+        np.testing.assert_allclose(found.normal[frame][off], exact.normal[off], atol=0.02)
+    assert (found.distance < -0.001).sum() > 200 and (found.distance.abs() < 1e-6).sum() > 50
+
+
+def test_of_equally_near_faces_groups_tell_the_same_one_every_time():
+    middle, ends = torch.zeros(1, 50, 3, dtype=torch.float64), torch.from_numpy(np.array(CUBE.vertices))[None]
+    faces = GroupedSurface(Surface.of(CUBE.faces, CUBE.vertices)).nearest(middle, ends).face
+    assert len(faces.unique()) == 1
+
+
+def test_clouds_in_groups_against_a_tree():
+    """Clouds of different sizes, one of one point and one of none, each asked in an order of its own."""
+    random = np.random.default_rng(4)
+    clouds = [random.normal(size=(size, 3)) for size in (3000, 1, 0, 37)]
+    points, order = random.normal(size=(5, 60, 3)), [3, 0, 2, 1, 0]
+    distance, nearest = GroupedClouds(clouds).nearest(torch.from_numpy(points), torch.tensor(order))
+    for row, cloud in enumerate(order):
+        if len(clouds[cloud]):
+            apart, place = KDTree(clouds[cloud]).query(points[row])
+            np.testing.assert_allclose(distance[row], apart, atol=1e-6)
+            np.testing.assert_allclose(nearest[row], clouds[cloud][place], atol=1e-6)
+        else:
+            assert torch.isinf(distance[row]).all()

@@ -24,6 +24,7 @@ from caphy.training.loop import evened
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective, Past
 from caphy.training.preconditioner import Preconditioner
+from caphy.training.skin_seen import ByTree, InGroups
 from caphy.training.streams import Windows
 
 FRAMES = np.array([np.arange(5, 10), np.arange(20, 25), np.full(5, 12)])
@@ -178,3 +179,20 @@ def test_motions_are_learnt_evened_and_scans_are_not(make_trainer, monkeypatch):
     monkeypatch.setattr(trainer, "_turn", lambda: trainer.track)
     trainer.step()
     assert len(asked) == 1
+
+
+@pytest.mark.parametrize("corrected", [False, True])
+def test_in_groups_cloth_sees_the_body_that_it_sees_by_a_tree(corrected):
+    """Of another shape, turning and travelling; the bundled body has no pose correctives, SMPL-X's has."""
+    body, random = default_body(), np.random.default_rng(5)
+    if corrected:
+        body = replace(body, posedirs=0.01 * random.normal(size=(*body.v_template.shape, 486)))
+    betas, template = np.array([1.5, -1.0]), torch.tensor(tube().vertices)
+    motions = Motions.of([swaying(40)], body, [3], 30.0, betas)
+    frames, last = np.array([5, 20, 12]), np.array([4, 19, 12])
+    x = torch.tensor(np.stack([posed(motions, frame, random_offsets(0.02)[0, 0]).numpy() for frame in frames]))
+    tree, groups = (sees(body, betas, template)(motions, frames, last, x, 1 / 30) for sees in (ByTree, InGroups))
+    for one, other in zip(groups, tree, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=2e-5)
+    still = tree[2].norm(dim=-1).amax(1)
+    assert still[2] == 0 and still[0] > 0.1

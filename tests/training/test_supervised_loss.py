@@ -18,7 +18,8 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.garment.topology import face_areas
 from caphy.register.points import ScanPoints, read_points, read_split, split
-from caphy.training.scans import FARTHEST, Chamfer, ScanStreams, Target, innermost_first, scan_motions
+from caphy.training.counterparts import Grouped, Target, look
+from caphy.training.scans import FARTHEST, Chamfer, ScanStreams, innermost_first, scan_motions
 from caphy.training.streams import HELD_WINDOWS
 
 
@@ -56,7 +57,7 @@ def test_both_sides_are_mean_squares_of_plain_loops():
     there = np.linalg.norm(x[:, None] - points, axis=2).min(axis=1)
     area = vertex_area(garment)
     expected = (area * there**2).sum() / area.sum() + (from_surface(points, x, garment.faces) ** 2).mean()
-    found = chamfer(garment)(torch.tensor(x), Target.of(points_of(points), "lower", ()))
+    (found,) = chamfer(garment)(torch.tensor(x[None]), [Target.of(points_of(points), "lower", ())])
     assert float(found) == pytest.approx(expected, rel=1e-5)
 
 
@@ -65,10 +66,10 @@ def test_gradient_against_finite_differences():
     garment, target = tube(), Target.of(scan(0), "lower", ())
     loss = chamfer(garment)
     at = posed(garment.vertices, garment.weights, scan(0).pose, scan(0).transl)
-    x = torch.tensor(at, requires_grad=True)
-    (gradient,) = torch.autograd.grad(loss(x, target), x)
-    direction = torch.tensor(np.random.default_rng(3).normal(size=at.shape))
-    up, down = (float(loss(x.detach() + sign * 1e-7 * direction, target)) for sign in (1, -1))
+    x = torch.tensor(at[None], requires_grad=True)
+    (gradient,) = torch.autograd.grad(loss(x, [target]), x)
+    direction = torch.tensor(np.random.default_rng(3).normal(size=x.shape))
+    up, down = (float(loss(x.detach() + sign * 1e-7 * direction, [target])) for sign in (1, -1))
     assert float((gradient * direction).sum()) == pytest.approx((up - down) / 2e-7, rel=1e-4)
 
 
@@ -80,9 +81,9 @@ def test_what_another_garment_hides_is_not_pulled():
     scanned = points_of(points[points[:, 1] < 0], shirt)
     _, shown = Target.of(scanned, "lower", ("upper",)).counterparts(x)
     assert (shown == below).mean() > 0.98
-    moved = torch.tensor(x, requires_grad=True)
+    moved = torch.tensor(x[None], requires_grad=True)
     target, loss = Target.of(scanned, "lower", ("upper",)), chamfer(garment)
-    (gradient,) = torch.autograd.grad(loss.to_points(moved, loss.look(x, target)), moved)
+    gradient = torch.autograd.grad(loss.to_points(moved, look(loss.surface, moved, [target])), moved)[0][0]
     assert (gradient[torch.tensor(~shown)] == 0).all() and (gradient[torch.tensor(shown)] != 0).any(-1).all()
     # The shirt itself lies on top: nothing hides it, though trousers are near.
     assert Target.of(scanned, "upper", ()).counterparts(shirt)[1].all()
@@ -99,14 +100,35 @@ def test_what_no_camera_saw_is_not_pulled_but_cloth_over_bare_skin_is():
     assert Target.of(points_of(front, body=skin), "lower", ()).counterparts(x)[1].all()
 
 
+def test_groups_find_the_counterparts_that_trees_find():
+    """On the CPU too, on which no training uses them; scans of different sizes, one under a shirt, one half unseen."""
+    garment = tube()
+    points = sampled(worn(garment), garment.faces, 4000, 2)
+    shirt = points[points[:, 1] > 0] * [1.05, 1, 1.05]
+    scanned = [
+        points_of(points[points[:, 1] < 0], shirt),
+        points_of(points[points[:, 2] > 0.01]),
+        points_of(points[:90]),
+    ]
+    targets = [Target.of(scan, "lower", ("upper",)) for scan in scanned]
+    x = torch.tensor(np.stack([crumpled(), garment.vertices, crumpled(0.01)])).float()
+    loss = chamfer(garment)
+    trees = look(loss.surface, x, targets)
+    groups = Grouped(loss.surface, targets[::-1], x.device).look(x, [2, 1, 0])
+    assert {int(shown.sum()) for shown in trees.shown} != {len(garment.vertices)}
+    for name in ("point", "shown", "sample", "share"):
+        torch.testing.assert_close(getattr(groups, name), getattr(trees, name), rtol=0, atol=1e-6)
+    torch.testing.assert_close(loss.apart(x, groups), loss.apart(x, trees), rtol=1e-5, atol=0)
+
+
 def test_points_without_a_counterpart_do_not_pull():
-    garment, x = tube(), torch.tensor(crumpled(), requires_grad=True)
+    garment, x = tube(), torch.tensor(crumpled()[None], requires_grad=True)
     points = sampled(garment.vertices, garment.faces, 500, 2)
     strays = np.concatenate([points, points[:50] + np.array([0, 2 * FARTHEST, 0.5])])
     gradients = []
     for given in (points, strays):
         target, loss = Target.of(points_of(given), "lower", ()), chamfer(garment)
-        loss = loss.to_cloth(x, loss.look(x.detach().numpy(), target), target) * len(given)
+        loss = loss.to_cloth(x, look(loss.surface, x, [target])) * len(given)
         gradients.append(torch.autograd.grad(loss, x)[0])
     torch.testing.assert_close(*gradients, rtol=1e-6, atol=1e-12)
 
@@ -146,7 +168,7 @@ def test_the_loss_is_the_potential_at_rest_and_lambda_times_the_distances(tmp_pa
         fields = (torch.tensor(f, dtype=torch.float32) for f in (at, near.point, near.normal, 0 * at, anchor))
         now, point, normal, velocity, anchored = fields
         state, rest = BodyState(point, normal, velocity, anchored), Step.implicit_euler(1 / 30, now, now)
-        distances.append(float(given.loss.chamfer(torch.tensor(at), given.loss.targets[index])))
+        distances.append(float(given.loss.chamfer(torch.tensor(at[None]), [given.loss.targets[index]])))
         expected = sum(potential.energies(now, rest, state).values()) + 1000 * distances[-1]
         assert float(loss[b, 0]) == pytest.approx(float(expected), rel=1e-4)
     bare = supervised_trainer(tmp_path / "bare", scans=3, physics=False).scans
