@@ -8,6 +8,7 @@ nearest, so the answers are those of :class:`caphy.body.surface.Surface` and of 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,10 +16,11 @@ from torch import Tensor
 
 from caphy.body.surface import NearestPoints, Surface
 from caphy.body.triangle_tree import build_order
+from caphy.recorded import Recorded
 
 GROUP = 16
 """Triangles or points of a group, about."""
-AT_ONCE = 1 << 22
+AT_ONCE = 1 << 21
 """Pairs of a point and a triangle or point that are held against each other at once: bounds memory."""
 ON_SURFACE = 1e-6
 """Below this distance [m] the direction to the nearest point is rounding noise; the pseudonormal is answered."""
@@ -31,44 +33,46 @@ class GroupedSurface:
         def tensor(values: np.ndarray) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(values, dtype=np.int64)).to(device)
 
-        bounds = _coarser(surface.bounds)
         self.faces, self.neighbours = tensor(surface.faces), tensor(surface.neighbours)
-        self.members = tensor(surface.order[_places(bounds)])
+        self.members = tensor(surface.order[_places(_coarser(surface.bounds))])
         """Faces of each group, the last one repeated where there are fewer (G, M)."""
+        self._look_round, self._tell = Recorded(self._groups_in_reach), Recorded(self._on_faces)
 
     def nearest(self, points: Tensor, vertices: Tensor) -> NearestPoints:
         """Nearest surface points of points (B, N, 3) [m], the surface's vertices being at (B, V, 3) in each frame.
 
         Every field of the answer is (B, N, ...), without gradient. Coordinates must be finite.
         """
-        with torch.no_grad():
-            return self._nearest(points, vertices)
+        centred, reached, *sides = self._look_round(points, vertices)
+        member = _nearest_member(centred, reached, self.members.shape[1], partial(_squares, *sides))[1]
+        return NearestPoints(*self._tell(points, vertices, self.members.view(-1)[member]))
 
-    def _nearest(self, points: Tensor, vertices: Tensor) -> NearestPoints:
-        middle = vertices.mean(1, keepdim=True)  # so that float32 resolves a body far from the origin as well
-        points, vertices = points - middle, vertices - middle
-        corners = vertices[:, self.faces]
-        grouped = corners[:, self.members].flatten(0, 1)
+    def _groups_in_reach(self, points: Tensor, vertices: Tensor) -> tuple[Tensor, ...]:
+        """Points (B, N, 3) from the middle of their frame, the groups (B, N, G) in reach, and the sides of faces."""
+        middle = vertices.mean(1, keepdim=True)  # so that single precision resolves a body far from the origin as well
+        points, corners = points - middle, (vertices - middle)[:, self.faces]
+        sides = tuple(part[:, self.members].flatten(0, 1) for part in _sides(corners))
+        grouped = sides[0]
         centres = grouped.mean((1, 2))
         radii = (grouped - centres[:, None, None]).square().sum(-1).amax((1, 2)).sqrt()
-
-        def squares(group: Tensor, point: Tensor) -> Tensor:
-            a, b, c = grouped[group].unbind(2)
-            return _closest(point[:, None], a, b, c)[0]
-
         shape = len(points), len(self.members)
-        _, member = _search(points, centres.view(*shape, 3), radii.view(shape), self.members.shape[1], squares)
-        face = self.members.view(-1)[member]
-        frame = torch.arange(len(points), device=points.device)[:, None]
-        a, b, c = (corners[frame, face, corner] for corner in range(3))
-        square, u, v, w = _closest(points, a, b, c)
-        weights = torch.stack([u, v, w], -1)
+        spheres = centres.view(*shape, 3), radii.view(shape)
+        return points, _in_reach(points, *spheres, partial(_squares, *sides)), *sides
+
+    def _on_faces(self, points: Tensor, vertices: Tensor, face: Tensor) -> tuple[Tensor, ...]:
+        """The fields of :class:`NearestPoints` on given faces (B, N)."""
+        middle = vertices.mean(1, keepdim=True)
+        points, vertices = points - middle, vertices - middle
+        corners, frame = vertices[:, self.faces], torch.arange(len(points), device=points.device)[:, None]
+        a, b, c = corners[frame, face].unbind(2)
+        u, v, w = _barycentric(points, a, b, c)
         nearest = u[..., None] * a + v[..., None] * b + w[..., None] * c
-        offset, outward = points - nearest, self._pseudonormals(corners, vertices, frame, face, weights)
-        distance = square.sqrt().copysign((offset * outward).sum(-1))
+        weights, offset = torch.stack([u, v, w], -1), points - nearest
+        outward = self._pseudonormals(corners, vertices, frame, face, weights)
+        distance = _dot(offset, offset).sqrt().copysign(_dot(offset, outward))
         far = distance.abs() > ON_SURFACE
         normal = torch.where(far[..., None], offset / torch.where(far, distance, 1)[..., None], outward)
-        return NearestPoints(face, weights, nearest + middle, normal, distance)
+        return face, weights, nearest + middle, normal, distance
 
     def _pseudonormals(self, corners: Tensor, vertices: Tensor, frame: Tensor, face: Tensor, weights: Tensor) -> Tensor:
         """Unit normals (B, N, 3) of the faces, edges or vertices that the weights (B, N, 3) lie on."""
@@ -106,85 +110,123 @@ class GroupedClouds:
             torch.from_numpy(values).float().to(device) for values in (points, points.mean(2), radii)
         )
         """Points (C, G, M, 3) of each cloud's groups; centres (C, G, 3) and radii (C, G) of their spheres, [m]."""
+        self._look_round = Recorded(self._groups_in_reach)
 
     def nearest(self, points: Tensor, cloud: Tensor) -> tuple[Tensor, Tensor]:
         """Distance (B, N) [m] and position (B, N, 3) of what lies nearest to points (B, N, 3) in the ``cloud`` (B,).
 
         Nothing carries a gradient. Coordinates must be finite. In an empty cloud everything is infinitely far.
         """
-        with torch.no_grad():
-            own = self.points[cloud].flatten(0, 1)
+        points = points.detach()
+        reached, own = self._look_round(points, cloud)
+        square, member = _nearest_member(points, reached, self.points.shape[2], partial(_squares_of_points, own))
+        frame = torch.arange(len(points), device=points.device)[:, None]
+        return square.sqrt(), own.view(len(points), -1, 3)[frame, member]
 
-            def squares(group: Tensor, point: Tensor) -> Tensor:
-                return (own[group] - point[:, None]).square().sum(-1)
-
-            spheres = self.centres[cloud], self.radii[cloud]
-            square, member = _search(points.detach(), *spheres, self.points.shape[2], squares)
-            frame = torch.arange(len(points), device=points.device)[:, None]
-            return square.sqrt(), own.view(len(points), -1, 3)[frame, member]
+    def _groups_in_reach(self, points: Tensor, cloud: Tensor) -> tuple[Tensor, Tensor]:
+        own = self.points[cloud].flatten(0, 1)
+        return _in_reach(points, self.centres[cloud], self.radii[cloud], partial(_squares_of_points, own)), own
 
 
 Squares = Callable[[Tensor, Tensor], Tensor]
-"""Squared distances (P, M) [m^2] of the M members of groups (P,) from points (P, 3)."""
+"""Squared distances (P, M) [m^2] of the M members of groups (P,), counted over all frames, from points (P, 3)."""
 
 
-def _search(points: Tensor, centres: Tensor, radii: Tensor, size: int, squares: Squares) -> tuple[Tensor, Tensor]:
-    """Squared distance (B, N) [m^2] of the nearest member and its place among a frame's groups laid end to end.
+def _in_reach(points: Tensor, centres: Tensor, radii: Tensor, squares: Squares) -> Tensor:
+    """Which groups (B, N, G) may hold what is nearest to points (B, N, 3); at least those that do.
 
-    points (B, N, 3); centres (B, G, 3) and radii (B, G) of the spheres of groups of ``size`` members, infinitely
-    negative where there is no group. ``squares`` counts groups over all frames. Of members equally near the first is
-    told, whatever the order in which a GPU works.
+    centres (B, G, 3) and radii (B, G): the groups' spheres, infinitely negative where there is no group.
     """
-    frames, count, groups = *points.shape[:2], centres.shape[1]
+    count, groups = points.shape[1], centres.shape[1]
     reach = (points[..., 0, None] - centres[:, None, :, 0]).square_()
     for axis in (1, 2):
         apart = points[..., axis, None] - centres[:, None, :, axis]
         reach.addcmul_(apart, apart)
-    reach = reach.sqrt_().sub_(radii[:, None]).view(-1, groups)
-    points = points.reshape(-1, 3)
-    of_frame = groups * torch.arange(frames, device=points.device).repeat_interleave(count)
+    reach = reach.sqrt_().sub_(radii[:, None])
+    first = reach.argmin(2) + groups * torch.arange(len(points), device=points.device)[:, None]
+    found = squares(first.view(-1), points.reshape(-1, 3)).amin(1).sqrt().view(-1, count, 1)
     # One rounding error more, lest the sphere that holds the nearest be passed over
-    bound = squares(of_frame + reach.argmin(1), points).amin(1).sqrt() * (1 + 1e-5) + 1e-6
-    point, group = (reach < bound[:, None]).nonzero(as_tuple=True)
+    return reach < found * (1 + 1e-5) + 1e-6
+
+
+def _nearest_member(points: Tensor, reached: Tensor, size: int, squares: Squares) -> tuple[Tensor, Tensor]:
+    """Squared distance (B, N) [m^2] of the nearest member and its place among a frame's groups laid end to end.
+
+    ``reached`` (B, N, G): the groups to look through, of ``size`` members. Of members equally near the first is told,
+    whatever the order in which a GPU works. Where no group is reached everything is infinitely far.
+    """
+    frames, count, groups = reached.shape
+    point, group = reached.view(-1, groups).nonzero(as_tuple=True)
+    points, counted = points.reshape(-1, 3), group + point.div(count, rounding_mode="floor") * groups
     step = max(AT_ONCE // size, 1)
-    parts = zip(point.split(step), group.split(step), strict=True)
-    found = [squares(of_frame[p] + g, points[p]).min(1) for p, g in parts]
+    parts = zip(point.split(step), counted.split(step), strict=True)
+    found = [squares(g, points[p]).min(1) for p, g in parts]
     value = torch.cat([values for values, _ in found])
     member = group * size + torch.cat([places for _, places in found])
     best = value.new_full((len(points),), torch.inf).scatter_reduce_(0, point, value, "amin")
-    won = value == best[point]
     none = groups * size
-    winner = member.new_full((len(points),), none).scatter_reduce_(0, point[won], member[won], "amin")
-    winner = torch.where(winner == none, 0, winner)  # of an empty cloud
+    own = torch.where(value == best[point], member, none)
+    winner = member.new_full((len(points),), none).scatter_reduce_(0, point, own, "amin")
+    winner = torch.where(winner == none, 0, winner)
     return best.view(frames, count), winner.view(frames, count)
 
 
-def _closest(p: Tensor, a: Tensor, b: Tensor, c: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Squared distance and three weights (...) of the point of triangle abc (..., 3) nearest to p (..., 3).
+def _squares_of_points(grouped: Tensor, group: Tensor, point: Tensor) -> Tensor:
+    """As :data:`Squares`, of points (P, M, 3)."""
+    return (grouped[group] - point[:, None]).square().sum(-1)
 
-    As in :mod:`caphy.body.triangle_tree`: weights are exactly zero where the point lies on an edge or a corner.
+
+def _sides(corners: Tensor) -> tuple[Tensor, ...]:
+    """Of triangles (..., 3, 3) their corners, the sides that begin there, the inverse squares of the sides' lengths
+    (..., 3), the directions inwards across the sides, and the unit normal (..., 3); zeros where there is no area."""
+    along = corners.roll(-1, -2) - corners
+    square = _dot(along, along)
+    normal = _unit(torch.linalg.cross(along[..., 0, :], along[..., 1, :]))
+    return (
+        corners,
+        along,
+        torch.where(square > 0, 1 / square, 0),
+        torch.linalg.cross(normal[..., None, :], along),
+        normal,
+    )
+
+
+def _squares(
+    corners: Tensor, along: Tensor, inverse: Tensor, inwards: Tensor, normal: Tensor, group: Tensor, point: Tensor
+) -> Tensor:
+    """As :data:`Squares`, of triangles as :func:`_sides` tells them: from the plane inside, else from the sides."""
+    from_corner = point[:, None, None] - corners[group]
+    side = along[group]
+    beside = from_corner - side * ((from_corner * side).sum(-1) * inverse[group]).clamp_(0, 1)[..., None]
+    inside = ((from_corner * inwards[group]).sum(-1) > 0).all(-1)
+    height = (from_corner[..., 0, :] * normal[group]).sum(-1)
+    return torch.where(inside, height.square(), beside.square().sum(-1).amin(-1))
+
+
+def _barycentric(p: Tensor, a: Tensor, b: Tensor, c: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Weights (...) of the point of triangle abc (..., 3) nearest to p (..., 3).
+
+    As in :mod:`caphy.body.triangle_tree`: exactly zero where the point lies on an edge or a corner.
     """
     ab, ac = b - a, c - a
-    d1, d2, d3, d4, d5, d6 = (_dot(side, p - from_) for from_ in (a, b, c) for side in (ab, ac))
+    d1, d2, d3, d4, d5, d6 = (_dot(side, p - corner) for corner in (a, b, c) for side in (ab, ac))
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    one, none = torch.ones_like(d1), torch.zeros_like(d1)
-    v = torch.where((v_plus_w := va + vb + vc) > 0, vb / v_plus_w, none)
-    w = torch.where(v_plus_w > 0, vc / v_plus_w, none)
-    u = torch.where(v_plus_w > 0, (1 - v - w).clamp_min(0), one)
-    along = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-    # From the last case of Ericson's to the first, so that the first that holds has the last word
+    one, none, total = torch.ones_like(d1), torch.zeros_like(d1), va + vb + vc
+    u, v, w = one, none, none
+    t_ab, t_ac, t_bc = d1 / (d1 - d3), d2 / (d2 - d6), (d4 - d3) / ((d4 - d3) + (d5 - d6))
+    # From the last of Ericson's cases to the first, so that the first that holds has the last word
     cases = (
-        ((va <= 0) & (d4 >= d3) & (d5 >= d6) & ((d4 - d3) + (d5 - d6) > 0), none, 1 - along, along),
-        ((vb <= 0) & (d2 >= 0) & (d6 <= 0) & (d2 > d6), 1 - (t := d2 / (d2 - d6)), none, t),
+        (total > 0, (1 - vb / total - vc / total).clamp_min(0), vb / total, vc / total),
+        ((va <= 0) & (d4 >= d3) & (d5 >= d6) & ((d4 - d3) + (d5 - d6) > 0), none, 1 - t_bc, t_bc),
+        ((vb <= 0) & (d2 >= 0) & (d6 <= 0) & (d2 > d6), 1 - t_ac, none, t_ac),
         ((d6 >= 0) & (d5 <= d6), none, none, one),
-        ((vc <= 0) & (d1 >= 0) & (d3 <= 0) & (d1 > d3), 1 - (t := d1 / (d1 - d3)), t, none),
+        ((vc <= 0) & (d1 >= 0) & (d3 <= 0) & (d1 > d3), 1 - t_ab, t_ab, none),
         ((d3 >= 0) & (d4 <= d3), none, one, none),
         ((d1 <= 0) & (d2 <= 0), one, none, none),
     )
-    for holds, cu, cv, cw in cases:
-        u, v, w = torch.where(holds, cu, u), torch.where(holds, cv, v), torch.where(holds, cw, w)
-    apart = p - a - v[..., None] * ab - w[..., None] * ac
-    return _dot(apart, apart), u, v, w
+    for holds, of_a, of_b, of_c in cases:
+        u, v, w = torch.where(holds, of_a, u), torch.where(holds, of_b, v), torch.where(holds, of_c, w)
+    return u, v, w
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:

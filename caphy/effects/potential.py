@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -14,6 +15,7 @@ from caphy.effects.cloth import Cloth
 from caphy.effects.compiled import KERNELS, Bound, accumulate
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
+from caphy.recorded import Recorded
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,15 @@ def planes(field: Tensor) -> Tensor:
     return field.movedim(-1, 0).contiguous()
 
 
+def _fields(step: Step | None, x: Tensor) -> list[Tensor]:
+    """The tensors of a step in the order of its map, and its time as one."""
+    fields: list[Tensor] = []
+    if step is not None:
+        step.map(lambda field: fields.append(field) or field)
+        fields.append(torch.as_tensor(step.time, dtype=x.dtype, device=x.device))
+    return fields
+
+
 class Potential:
     """The incremental potential Phi of a model on a cloth.
 
@@ -78,6 +89,7 @@ class Potential:
         self.cloth = cloth if cloth.density == model.density else replace(cloth, density=model.density)
         self.terms = {name: self._bind(name) for name in model.effects}
         self._histories: dict[str, tuple[Step, dict[str, Any]]] = {}
+        self._recorded: dict[tuple, Recorded] = {}
 
     def _bind(self, name: str) -> Term:
         effect = find_effect(name)
@@ -144,6 +156,25 @@ class Potential:
         """Total energy (...,) [J] and its gradient (..., V, 3) [N], history and body held fixed."""
         self._check(x)
         x = x.detach().contiguous()
+        if x.device.type == "cpu":
+            return self._summed(x, step, body)
+        kind = step and (step.dt, step.pressed is None), body is None
+        recorded = self._recorded.setdefault(kind, Recorded(partial(self._of_fields, step, body)))
+        energy, gradient = recorded(x, *_fields(step, x), *(() if body is None else vars(body).values()))
+        return energy, gradient
+
+    def _of_fields(
+        self, step: Step | None, body: BodyState | None, x: Tensor, *fields: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The gradient in a situation like that of ``step`` and ``body``, with these tensors in place of theirs."""
+        left = iter(fields)
+        if step is not None:
+            step = replace(step.map(lambda _: next(left)), time=next(left))
+        if body is not None:
+            body = BodyState(*left)
+        return self._summed(x, step, body)
+
+    def _summed(self, x: Tensor, step: Step | None, body: BodyState | None) -> tuple[Tensor, Tensor]:
         energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
         for _, term in self.present(step, body):
             kernel = KERNELS.get(type(term.effect)) if x.device.type == "cpu" else None

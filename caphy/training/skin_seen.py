@@ -10,6 +10,7 @@ from caphy.body.grouped import GroupedSurface
 from caphy.body.model import POSE_FEATURES, BodyModel
 from caphy.body.skinning import blend_transforms, skin
 from caphy.body.surface import Surface
+from caphy.recorded import Recorded
 from caphy.rotations import matrix_from_axis_angle
 from caphy.training.in_threads import in_threads
 from caphy.training.motions import Motions
@@ -56,24 +57,28 @@ class InGroups:
         self.correctives = None
         if body.posedirs is not None:
             self.correctives = torch.from_numpy(body.posedirs.reshape(-1, POSE_FEATURES).T).to(template)
+        self._pose = Recorded(self._posed)
 
     def __call__(self, motions: Motions, frames: np.ndarray, last: np.ndarray, x: Tensor, dt: float) -> Seen:
         """As :class:`ByTree`."""
         posed = np.concatenate([frames, last])
-        transforms = motions.transforms[torch.from_numpy(posed)].to(x)
-        bodies = skin(blend_transforms(self.weights, transforms), self._corrected(motions.poses[posed]))
+        given = [motions.transforms[torch.from_numpy(posed)].to(x)]
+        if self.correctives is not None:
+            rotations = matrix_from_axis_angle(motions.poses[posed])[:, 1:] - np.eye(3)
+            given.append(torch.from_numpy(rotations.reshape(len(posed), POSE_FEATURES)).to(x))
+        (bodies,) = self._pose(*given)
         now, earlier = bodies[: len(frames)], bodies[len(frames) :]
         found = self.surface.nearest(x, now)
         corners = self.surface.faces[found.face].flatten(1)[..., None].expand(-1, -1, 3)
         before = (found.barycentric[..., None] * earlier.gather(1, corners).unflatten(1, (-1, 3))).sum(-2)
         return found.point, found.normal, (found.point - before) / dt
 
-    def _corrected(self, poses: np.ndarray) -> Tensor:
-        """The body at rest (V, 3), or (F, V, 3) with the correctives of poses (F, 55, 3) [rad]."""
-        if self.correctives is None:
-            return self.rest
-        feature = (matrix_from_axis_angle(poses)[:, 1:] - np.eye(3)).reshape(len(poses), POSE_FEATURES)
-        return self.rest + (torch.from_numpy(feature).to(self.rest) @ self.correctives).unflatten(1, self.rest.shape)
+    def _posed(self, transforms: Tensor, feature: Tensor | None = None) -> tuple[Tensor]:
+        """Vertices (F, V, 3) [m] of skinning transforms (F, 55, 3, 4) and, for correctives, R - I (F, 486)."""
+        rest = self.rest
+        if feature is not None and self.correctives is not None:
+            rest = rest + (feature @ self.correctives).unflatten(1, rest.shape)
+        return (skin(blend_transforms(self.weights, transforms), rest),)
 
 
 def skin_seen(body: BodyModel, betas: np.ndarray | None, template: Tensor) -> ByTree | InGroups:

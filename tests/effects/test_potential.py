@@ -17,6 +17,7 @@ from caphy.effects.presets import fabric_model, snug_model
 from caphy.effects.registry import find_effect, registered_effects
 from caphy.effects.trial import flat_cloth, irregular_cloth, moment, pleated_cloth
 from caphy.errors import CaphyError
+from caphy.recorded import WARM
 
 
 @pytest.mark.parametrize("model", [snug_model(), fabric_model("gray-interlock")], ids=["snug", "measured"])
@@ -84,14 +85,22 @@ def test_positions_of_another_cloth_or_precision_are_refused() -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_a_cuda_device_gives_the_same() -> None:
+@pytest.mark.parametrize("name", registered_effects())
+def test_a_cuda_device_gives_the_same(name: str) -> None:
+    """Called so often that it is recorded, each time elsewhere."""
     cloth = irregular_cloth()
     at = moment(cloth, (2,)).to(torch.float32)
-    here = Potential(snug_model(), cloth, torch.float32).gradient(at.x, at.step, at.body)
-    there = Potential(snug_model(), cloth, torch.float32, "cuda")
-    at = at.map(lambda field: field.cuda())
-    for mine, theirs in zip(here, there.gradient(at.x, at.step, at.body), strict=True):
-        torch.testing.assert_close(theirs.cpu(), mine, rtol=1e-4, atol=1e-6)
+    effects: dict[str, Any] = {other: {} for other in (*companions(find_effect(name)), name)}
+    here, there = (Potential(Model(0.2, effects), cloth, torch.float32, device) for device in ("cpu", "cuda"))
+    for shift in range(WARM + 3):
+        moved = at.map(lambda field, by=0.001 * shift: field + by * field.flip(-1))
+        away = moved.map(lambda field: field.cuda())
+        mine, theirs = (p.gradient(m.x, m.step, m.body) for p, m in ((here, moved), (there, away)))
+        for one, other in zip(mine, theirs, strict=True):
+            scale = float(one.abs().max())
+            torch.testing.assert_close(other.cpu(), one, rtol=1e-4, atol=1e-5 * scale + 1e-12)
+    (recorded,) = there._recorded.values()
+    assert recorded._plays and recorded._work not in recorded._plays.values()
 
 
 @pytest.mark.parametrize("name", registered_effects())
