@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -37,26 +38,35 @@ class Recorded:
             if (play := self._plays.get(kind)) is not None:
                 return play(*given)
             self._calls[kind] = self._calls.get(kind, 0) + 1
-            if self._calls[kind] > WARM:
-                self._plays[kind] = _recording(self._work, given) or self._work
+            if self._calls[kind] == WARM and _waits(self._work, given):
+                self._plays[kind] = self._work
+            elif self._calls[kind] > WARM:
+                self._plays[kind] = _recording(self._work, given)
             return self._work(*given)
 
 
-def _recording(
-    work: Callable[..., tuple[Tensor, ...]], given: tuple[Tensor, ...]
-) -> Callable[..., tuple[Tensor, ...]] | None:
-    """How to play the work on tensors of these shapes; none if it cannot be recorded."""
-    device = given[0].device
-    buffers = [x.detach().clone(memory_format=torch.contiguous_format) for x in given]
-    graph, stream = torch.cuda.CUDAGraph(), torch.cuda.current_stream(device)
-    pool = _pools.setdefault(device, torch.cuda.graph_pool_handle())
+def _waits(work: Callable[..., tuple[Tensor, ...]], given: tuple[Tensor, ...]) -> bool:
+    """Whether the work waits for the GPU, as no recording may: one that failed for it would spoil later ones."""
+    mode = torch.cuda.get_sync_debug_mode()
     try:
-        # Other threads, such as those of several processes' talk, may use the GPU meanwhile
-        with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
-            answers = work(*buffers)
-    except RuntimeError:  # it waited for the GPU
-        torch.cuda.set_stream(stream)
-        return None
+        with warnings.catch_warnings(action="ignore"):  # that this mode is a prototype
+            torch.cuda.set_sync_debug_mode("error")
+        work(*given)
+    except RuntimeError:
+        return True
+    finally:
+        torch.cuda.set_sync_debug_mode(mode)
+    return False
+
+
+def _recording(work: Callable[..., tuple[Tensor, ...]], given: tuple[Tensor, ...]) -> Callable[..., tuple[Tensor, ...]]:
+    """How to play the work on tensors of these shapes."""
+    buffers = [x.detach().clone(memory_format=torch.contiguous_format) for x in given]
+    graph, device = torch.cuda.CUDAGraph(), given[0].device
+    pool = _pools.setdefault(device, torch.cuda.graph_pool_handle())
+    # Other threads, such as those of several processes' talk, may use the GPU meanwhile
+    with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
+        answers = work(*buffers)
 
     def play(*given: Tensor) -> tuple[Tensor, ...]:
         for buffer, x in zip(buffers, given, strict=True):

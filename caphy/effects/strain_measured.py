@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -20,7 +22,7 @@ LARGEST = ((1 + STRETCH_SAMPLED) ** 2 - 1) / 2
 """Principal Green strain of the rows at 16.7 % stretch."""
 
 _NODES = np.cos(np.arange(5) * np.pi / 4)
-_POLYNOMIAL = torch.as_tensor(np.linalg.inv(np.vander(_NODES, increasing=True)))
+_POLYNOMIAL = np.linalg.inv(np.vander(_NODES, increasing=True))
 """Coefficients (5, 5) of the polynomial in cos(2 angle) through values at 0, 22.5, 45, 67.5 and 90 degrees."""
 
 
@@ -99,7 +101,13 @@ def directed(table: Tensor) -> Tensor:
     row below what each stiffness is led through zero [N/m]."""
     rows = table[1:]
     usual = rows.square().mean(dim=0, keepdim=True).clamp_min(1e-30).sqrt()
-    return torch.cat([_POLYNOMIAL.to(table) @ rows, FLATTENED * usual])
+    return torch.cat([_polynomial(table.dtype, table.device) @ rows, FLATTENED * usual])
+
+
+@cache
+def _polynomial(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """:data:`_POLYNOMIAL` where it is used: brought to a GPU once, which would wait for it every time."""
+    return torch.as_tensor(_POLYNOMIAL, dtype=dtype, device=device)
 
 
 def _mean_clamped(start: Tensor, sampled: Tensor, strain: Tensor) -> Tensor:
