@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import warnings
 from collections.abc import Callable
-from typing import Any
+from weakref import WeakSet
 
 import torch
 from torch import Tensor
@@ -12,7 +13,8 @@ from torch import Tensor
 WARM = 2
 """Calls of one shape that are worked through before it is recorded: shapes that hardly return are not."""
 
-_pools: dict[torch.device, Any] = {}
+_living: dict[torch.device, WeakSet[torch.cuda.CUDAGraph]] = {}
+"""Recordings that are still there: they share their room, which goes with the last of them."""
 
 
 class Recorded:
@@ -63,10 +65,19 @@ def _recording(work: Callable[..., tuple[Tensor, ...]], given: tuple[Tensor, ...
     """How to play the work on tensors of these shapes."""
     buffers = [x.detach().clone(memory_format=torch.contiguous_format) for x in given]
     graph, device = torch.cuda.CUDAGraph(), given[0].device
-    pool = _pools.setdefault(device, torch.cuda.graph_pool_handle())
-    # Other threads, such as those of several processes' talk, may use the GPU meanwhile
-    with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
-        answers = work(*buffers)
+    living = _living.setdefault(device, WeakSet())
+    pool = next((other.pool() for other in living), None)
+    collects = gc.isenabled()
+    gc.collect()
+    gc.disable()  # a recording that is let go of while another is made would spoil it
+    try:
+        # Other threads, such as those of several processes' talk, may use the GPU meanwhile
+        with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
+            answers = work(*buffers)
+    finally:
+        if collects:
+            gc.enable()
+    living.add(graph)
 
     def play(*given: Tensor) -> tuple[Tensor, ...]:
         for buffer, x in zip(buffers, given, strict=True):
