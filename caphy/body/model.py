@@ -19,6 +19,9 @@ from caphy.rotations import matrix_from_axis_angle
 POSE_FEATURES = 9 * (JOINT_COUNT - 1)
 """Entries of (R - I) of every joint but the root, row-major: what the pose correctives multiply."""
 
+MAX_COEFFICIENT = 30.0
+"""Shape and expression coefficients beyond this are of no person."""
+
 _FRAMES_AT_ONCE = 64  # bounds memory: 64 frames of 12 k vertices are 75 MB of blended transforms
 
 
@@ -77,6 +80,11 @@ class BodyModel:
                 coefficients = np.asarray(given, dtype=np.float64)
                 if coefficients.ndim != 1:
                     raise CaphyError(f"{name} must be one vector of coefficients, got shape {coefficients.shape}")
+                if not (np.abs(coefficients) <= MAX_COEFFICIENT).all():
+                    raise CaphyError(
+                        f"{name} must be numbers from -{MAX_COEFFICIENT:g} to {MAX_COEFFICIENT:g} (of people they are "
+                        f"within 5), got {coefficients[~(np.abs(coefficients) <= MAX_COEFFICIENT)][0]:g}"
+                    )
                 count = _coefficient_count(name, coefficients, vertex_dirs.shape[2])
                 vertices = vertices + vertex_dirs[..., :count] @ coefficients
                 joints = joints + joint_dirs[..., :count] @ coefficients

@@ -113,11 +113,15 @@ def _compared_curves(command: Compare, path: Path) -> dict:
     from caphy.effects.model import Model
     from caphy.io.measurements import read_force_curves
     from caphy.measure.uniaxial import compare_curves
+    from caphy.tensile.checks import require_tension
 
     model = load_model(command.model, command.effect_file)
     if not isinstance(model, Model):
         raise CaphyError(f"{path}: force curves are compared with a physics model, not with an avatar")
-    return compare_curves(model, read_force_curves(path), path.stem, str(path))
+    curves = read_force_curves(path)
+    for curve in curves:
+        require_tension(curve)
+    return compare_curves(model, curves, path.stem, str(path))
 
 
 def _compared(command: Compare, path: Path) -> Comparison:

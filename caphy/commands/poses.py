@@ -118,19 +118,27 @@ def _info(command: Info) -> None:
         ("file", "frames", "fps", "seconds", "frame", "model", "root m/s", "joint rad/s", "jumps")
     ]
     remarks: list[str] = []
+    errors: list[CaphyError] = []
     for path in command.files:
-        sequence = command.source.read(path)
+        try:
+            sequence = command.source.read(path)
+        except CaphyError as error:
+            errors.append(error)
+            continue
         jumps = sequence.jumps()
         rows.append(_row(path, sequence, len(jumps)))
         remarks += [f"{path.name}: {note}" for note in sequence.notes]
         remarks += [f"{path.name}: {jump}" for jump in jumps[:3]]
         if len(jumps) > 3:
             remarks.append(f"{path.name}: and {len(jumps) - 3} more such jumps")
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for name, *cells in rows:
-        print(name.ljust(widths[0]), *(c.rjust(w) for c, w in zip(cells, widths[1:], strict=True)), sep="  ")
+    if len(rows) > 1:
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        for name, *cells in rows:
+            print(name.ljust(widths[0]), *(c.rjust(w) for c, w in zip(cells, widths[1:], strict=True)), sep="  ")
     if remarks:
         print("", *remarks, sep="\n")
+    if errors:  # after what can be said of the others
+        raise CaphyError("\n".join(map(str, errors)))
 
 
 def _row(path: Path, sequence: PoseSequence, jumps: int) -> tuple[str, ...]:

@@ -70,8 +70,9 @@ def _refit(command: RefitCommand, model: Model) -> None:
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
     from caphy.refit.crew import Crew
-    from caphy.refit.refit import refit
+    from caphy.refit.refit import addable, refit
 
+    addable(model, command.add)  # before the hours that base measurements take
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
 
     garment = None if command.garment is None else Garment.load(command.garment)

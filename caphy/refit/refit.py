@@ -77,7 +77,7 @@ def refit(
     Raises:
         CaphyError: an effect is unknown, is there already, or the measurements are too short.
     """
-    names = _checked(model, add)
+    names = addable(model, add)
     model = model if learned is None else learned.model
     given = [Scene.of(measurement, garment, body) for measurement in (*measurements, *held_out)]
     given = all_registered(given, model, progress, crew)
@@ -118,7 +118,8 @@ class _First:
     variance: np.ndarray
 
 
-def _checked(model: Model, add: Sequence[str]) -> tuple[str, ...]:
+def addable(model: Model, add: Sequence[str]) -> tuple[str, ...]:
+    """Names of effects to add to a model, each once; raises :class:`CaphyError` where one cannot be."""
     for name in add:
         effect = find_effect(name)
         if name in model.effects:

@@ -20,6 +20,8 @@ OPEN_EDGES: Final = (0.04, 0.3)
 """Shares of edges along holes from which a scan is remarked on, and refused."""
 FLOOR: Final = 0.25
 """Level area at the lowest place [m^2] that only a floor has; two feet have a fifth of that."""
+UNUSED: Final = (0.01, 0.1)
+"""Shares of vertices without a triangle from which a scan is remarked on, and refused."""
 LEAST_CLOTH: Final = 0.03
 """Share of the surface that clothes must have."""
 AREA_SPREAD, COLOUR_OVERLAP = 0.25, 0.45
@@ -38,7 +40,7 @@ class Finding:
 
 def check_scan(scan: Scan) -> list[Finding]:
     """What is to be said of one scan by itself."""
-    checks = (_unit, _flipped, _holes, _pieces, _floor, _labels, _colours)
+    checks = (_unit, _flipped, _cut_short, _holes, _pieces, _floor, _labels, _colours)
     return [finding for check in checks if (finding := check(scan)) is not None]
 
 
@@ -99,6 +101,15 @@ def _flipped(scan: Scan) -> Finding | None:
     return _severe(
         scan, "its triangles face inward (the enclosed volume is negative); flip its normals in a mesh editor"
     )
+
+
+def _cut_short(scan: Scan) -> Finding | None:
+    """An OBJ lists its triangles after its vertices, so that one cut short lacks triangles."""
+    share = 1 - len(np.unique(scan.faces)) / len(scan.vertices)
+    if share < UNUSED[0]:
+        return None
+    said = f"{100 * share:.0f} % of its vertices belong to no triangle; was the file cut short? Copy or export it again"
+    return _severe(scan, said) if share > UNUSED[1] else _remark(scan, said)
 
 
 def _open_share(scan: Scan) -> float:
@@ -170,7 +181,11 @@ def _labels(scan: Scan) -> Finding | None:
 def _colours(scan: Scan) -> Finding | None:
     if scan.colours is not None:
         return None
-    return _remark(scan, "has no colours; segmentation will need labels, or a human parser that does without colour")
+    return _remark(
+        scan,
+        "has no colours; segmentation will need labels, or a human parser that does without colour (an OBJ has them in "
+        "the .mtl that it names and its pictures: copy them beside it)",
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,9 @@ def read_mesh_file(path: Path) -> MeshFile:
         raise CaphyError(f"{path}: a scan must be a triangle mesh, this is a cloud of {len(vertices)} points; mesh it")
     colours, label = _colours(mesh), _ply_label(mesh)
     if path.suffix.lower() == ".obj":
-        vertices, faces, colours = _in_order(_obj_vertices(path), vertices, faces, colours)
+        wanted, painted = _obj_vertices(path)
+        # A reader without the material makes a grey of its own
+        vertices, faces, colours = _in_order(wanted, vertices, faces, colours if painted else None)
     elif path.suffix.lower() == ".glb":
         first = np.sort(np.unique(vertices, axis=0, return_index=True)[1])  # the file's order, which labels refer to
         vertices, faces, colours = _in_order(vertices[first], vertices, faces, colours)
@@ -105,10 +107,17 @@ def _ply_label(mesh: Any) -> np.ndarray | None:
     return np.asarray(data["label"]).reshape(-1).astype(np.int64)
 
 
-def _obj_vertices(path: Path) -> np.ndarray:
-    """Positions (V, 3) in the order of the file's ``v`` lines, which labels refer to."""
-    lines = (line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines())
-    return np.array([line[1:4] for line in lines if line[:1] == ["v"]], dtype=np.float64).reshape(-1, 3)
+def _obj_vertices(path: Path) -> tuple[np.ndarray, bool]:
+    """Positions (V, 3) in the order of the file's ``v`` lines, which labels refer to, and whether colours are there.
+
+    They are missing where the file names a material (``mtllib``) that does not lie beside it, unless its vertices have
+    colours of their own.
+    """
+    lines = [line.split(maxsplit=7) for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    vertices = [line for line in lines if line[:1] == ["v"]]
+    materials = [" ".join(line[1:]) for line in lines if line[:1] == ["mtllib"]]
+    painted = all((path.parent / name).is_file() for name in materials) or any(len(line) > 6 for line in vertices[:1])
+    return np.array([line[1:4] for line in vertices], dtype=np.float64).reshape(-1, 3), painted
 
 
 def _in_order(

@@ -44,10 +44,9 @@ def usable(curves: Sequence[ForceCurve]) -> tuple[list[ForceCurve], list[str]]:
     return kept, cautions
 
 
-def _checked(curve: ForceCurve) -> ForceCurve:
+def require_tension(curve: ForceCurve) -> None:
+    """Raises :class:`CaphyError` where signs or units cannot be those of cloth that is pulled."""
     where, top = _where(curve), float(curve.force.max())
-    if len(curve.axial) < _LEAST_ROWS:
-        raise CaphyError(f"{where}: needs at least {_LEAST_ROWS} rows, got {len(curve.axial)}; sample more often")
     if top <= 0 or -curve.force.min() > 0.2 * top:
         raise CaphyError(
             f"{where}: forces must be positive in tension, got {curve.force.min():.3g} to {top:.3g} N/m; change the "
@@ -58,6 +57,18 @@ def _checked(curve: ForceCurve) -> ForceCurve:
             f"{where}: strains must grow from zero as the strip is pulled, got {curve.axial.min():.3g} to "
             f"{curve.axial.max():.3g}; a strain is length over rest length, less one"
         )
+    if not 1e-1 <= top / curve.axial.max() <= 1e6:
+        raise CaphyError(
+            f"{where}: {top:.3g} N/m at a strain of {curve.axial.max():.3g} is no cloth; forces must be in newton per "
+            "metre of width at rest (N over the strip's width in m)"
+        )
+
+
+def _checked(curve: ForceCurve) -> ForceCurve:
+    where = _where(curve)
+    if len(curve.axial) < _LEAST_ROWS:
+        raise CaphyError(f"{where}: needs at least {_LEAST_ROWS} rows, got {len(curve.axial)}; sample more often")
+    require_tension(curve)
     span = np.ptp(curve.axial)
     if np.abs(np.diff(curve.axial)).mean() > _SHUFFLED * span and len(curve.axial) > 2 * _LEAST_ROWS:
         raise CaphyError(f"{where}: rows look shuffled: the strain jumps from row to row; sort them by time")
@@ -67,11 +78,6 @@ def _checked(curve: ForceCurve) -> ForceCurve:
         raise CaphyError(
             f"{where}: force must rise with strain, but their rank correlation is {agreement:.2f}; are columns "
             "exchanged, or rows of several loadings mixed?"
-        )
-    if not 1e-1 <= top / curve.axial.max() <= 1e6:
-        raise CaphyError(
-            f"{where}: {top:.3g} N/m at a strain of {curve.axial.max():.3g} is no cloth; forces must be in newton per "
-            "metre of width at rest (N over the strip's width in m)"
         )
     return curve
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from smplx_file import posed_by_loops, random_arrays
 
+from caphy.body.bundled import default_body
 from caphy.body.model import BodyModel
 from caphy.errors import CaphyError
 
@@ -188,3 +189,9 @@ def test_wrong_shapes_are_refused(tmp_path, call, message):
     body = BodyModel.load(saved(tmp_path, random_arrays()))
     with pytest.raises(CaphyError, match=message):
         call(body)
+
+
+@pytest.mark.parametrize("coefficient", [1e9, np.nan, -np.inf])
+def test_coefficients_of_nobody_are_refused(coefficient):
+    with pytest.raises(CaphyError, match="betas must be numbers from -30 to 30"):
+        default_body().rest(np.array([0.0, coefficient]))

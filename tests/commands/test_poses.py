@@ -28,6 +28,13 @@ def test_info_prints_the_facts_and_the_assumptions(clip, capsys):
     assert any("made by formula" in line for line in rest)
 
 
+def test_info_says_what_it_can_of_the_others(clip, tmp_path, capsys):
+    (tmp_path / "bad.npz").write_bytes(b"nothing")
+    assert main(["poses", "info", str(tmp_path / "bad.npz"), str(clip)]) == 2
+    said = capsys.readouterr()
+    assert said.out.splitlines()[1].split()[:2] == ["walk.npz", "61"] and "bad.npz" in said.err
+
+
 def test_info_names_jumps(tmp_path, capsys):
     poses = np.zeros((4, 55, 3))
     poses[2:, 18, 1] = 2.5

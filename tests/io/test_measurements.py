@@ -201,12 +201,21 @@ def _flat() -> np.ndarray:
             lambda: _broken(vertices=np.repeat(swinging().vertices[::2], 2, 0), noise_mm=1.0),
             "frames 0 and 1 are the same",
         ),
+        (lambda: _broken(vertices=np.repeat(swinging().vertices[::2], 2, 0)), "moves before and after"),
     ],
 )
 def test_wrong_units_order_and_mesh_are_told(make, says):
     require_plausible(swinging())
     with pytest.raises(CaphyError, match=says):
         require_plausible(make())
+
+
+def test_cloth_that_rests_before_it_moves_may_stand_still():
+    """Without noise, as simulated: ten frames at rest, then the swing."""
+    given = swinging()
+    assert given.vertices is not None
+    still = np.concatenate([np.repeat(given.vertices[:1], 10, 0), given.vertices[:-10]])
+    require_plausible(replace(given, vertices=still, pinned_positions=None, pinned=None))
 
 
 def test_wrong_axes_are_told():

@@ -66,7 +66,14 @@ def _holed():
     return _scan(faces=faces[np.random.default_rng(0).random(len(faces)) > 0.05])
 
 
+def _cut(share):
+    _, faces, _, _ = _person()
+    return _scan(faces=faces[: int(share * len(faces))])
+
+
 FAULTS = {
+    "cut short": (lambda: _cut(0.7), True, "of its vertices belong to no triangle; was the file cut short?"),
+    "cut a little short": (lambda: _cut(0.8), False, "was the file cut short?"),
     "millimetres": (lambda: _scan(vertices=1000 * _person()[0]), True, 'try unit = "mm"'),
     "flipped": (lambda: _scan(faces=_person()[1][:, ::-1]), True, "triangles face inward"),
     "floor": (_floor, True, "m2 of floor; cut away"),

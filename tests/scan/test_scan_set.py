@@ -61,6 +61,9 @@ def test_obj_with_a_texture_keeps_the_order_of_its_vertices(tmp_path):
     assert scan.faces.max() == 3
     assert list(scan.colours[1]) == [255, 0, 0]
     assert list(scan.colours[3]) == [0, 0, 255]
+    (tmp_path / "quad.mtl").unlink()  # readers make a grey of their own then
+    (scan,) = ScanSet.read(tmp_path)
+    assert scan.colours is None and len(scan.vertices) == 4
 
 
 def test_glb_whose_triangles_share_no_vertices_is_joined(tmp_path):

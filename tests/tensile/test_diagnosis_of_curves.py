@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from closed_form import Sheet, measured, softened
 
+from caphy.cli import main
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve, read_force_curves
@@ -151,6 +152,17 @@ def shuffled(column: np.ndarray) -> np.ndarray:
 def test_bad_input_is_refused_in_words(curves, message):
     with pytest.raises(CaphyError, match=message):
         diagnose_curves(model(), curves)
+
+
+@pytest.mark.parametrize(("factor", "message"), [(-1.0, "positive in tension"), (1e6, "per metre of width")])
+def test_a_comparison_refuses_forces_of_other_signs_and_units(tmp_path, capsys, factor, message):
+    """In words, and no curve is drawn of them."""
+    table = tmp_path / "strips.csv"
+    (first, *_) = measured(isotropic(), TOP)
+    rows = [f"{a},{t},{factor * f}" for a, t, f in zip(first.axial, first.transverse, first.force, strict=True)]
+    table.write_text("\n".join(["axial_strain,transverse_strain,force_per_width_N_per_m", *rows]))
+    assert main(["compare", "snug", str(table), "-o", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_a_model_without_elasticity_is_refused():

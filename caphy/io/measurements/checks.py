@@ -16,6 +16,8 @@ MAX_SPEED: Final = 40.0
 """Speed [m/s] that the median vertex of a cloth does not reach; a whip's tip does, a sheet does not."""
 MOVING: Final = 0.01
 """Median step between frames, as a share of the cloth's size, from which the order of frames can be judged."""
+HALTED: Final = 1e-3
+"""Mean step [m] before and after a frame between which a cloth does not stand perfectly still."""
 REACH: Final = 0.45
 """Distance [m] within which the median point of clothing has a joint of the body."""
 
@@ -101,19 +103,25 @@ def _require_same_pattern(measurement: Measurement) -> None:
 
 
 def _require_no_repeats(measurement: Measurement) -> None:
-    """With noise no frame is the same as the one before to the last digit."""
-    noisy = bool(measurement.noise_mm) or (measurement.noise is not None and bool(np.nanmax(measurement.noise) > 0))
-    if measurement.vertices is None or not noisy:
+    """With noise no frame is the same as the one before to the last digit; without, none amid a motion."""
+    if measurement.vertices is None:
         return
+    noisy = bool(measurement.noise_mm) or (measurement.noise is not None and bool(np.nanmax(measurement.noise) > 0))
     frames = measurement.seen_frames
     now, before = measurement.vertices[frames[1:]], measurement.vertices[frames[:-1]]
-    same = np.flatnonzero(((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=(1, 2)))
-    if len(same):
-        first = int(same[0])
+    same = ((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=(1, 2))
+    if not noisy:
+        apart = np.linalg.norm(now - before, axis=2)
+        moving = np.nansum(apart, axis=1) > HALTED * np.isfinite(apart).sum(axis=1)
+        same &= np.append(moving[1:], False) & np.append(False, moving[:-1])
+    pairs = np.flatnonzero(same)
+    if len(pairs):
+        first = int(pairs[0])
         raise _error(
             measurement,
-            f"frames {frames[first]} and {frames[first + 1]} are the same to the last digit, in spite of noise "
-            f"({len(same)} such pairs): leave repeated frames empty (NaN), and give the true fps",
+            f"frames {frames[first]} and {frames[first + 1]} are the same to the last digit, "
+            f"{'in spite of noise' if noisy else 'while the cloth moves before and after'} ({len(pairs)} such pairs): "
+            "leave repeated frames empty (NaN), and give the true fps",
         )
 
 
