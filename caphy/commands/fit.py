@@ -104,8 +104,6 @@ def _check(options: Fit) -> None:
     missing = [path for path in (*options.poses, *([options.vgg] if options.vgg else [])) if not path.exists()]
     if missing:
         raise CaphyError(f"{missing[0]}: there is no such file or folder")
-    if options.output.is_file():
-        raise CaphyError(f"{options.output}: must be a folder to write into, got a file")
     if options.output.resolve().is_relative_to(options.scans.resolve()):
         raise CaphyError(f"{options.output}: must not lie within the folder of the scans, which is only read")
     if options.scans.resolve().is_relative_to((options.output / SCANS).resolve()):

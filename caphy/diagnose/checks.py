@@ -47,12 +47,13 @@ def require_one_cloth(**parts: Sequence[Measurement]) -> None:
                 )
         if measurement.rest_vertices is None or measurement.faces is None:
             continue
+        lengths = _lengths(measurement.rest_vertices, measurement.faces)
         if of["faces"] is None:
-            of = {"faces": measurement.faces, "lengths": _lengths(measurement), "where": where}
+            of = {"faces": measurement.faces, "lengths": lengths, "where": where}
             continue
         if not np.array_equal(of["faces"], measurement.faces):
             raise CaphyError(f"{where}: must be of the cloth of {of['where']}, but has other faces")
-        ratio = _lengths(measurement) / of["lengths"]
+        ratio = lengths / of["lengths"]
         low, high = np.quantile(ratio, (0.1, 0.9))
         if not 1 / _SAME < low <= high < _SAME:
             raise CaphyError(
@@ -66,17 +67,14 @@ def _same(one: Measurement, other: Measurement) -> bool:
     return first is not None and second is not None and np.array_equal(first, second, equal_nan=True)
 
 
-def _lengths(measurement: Measurement) -> np.ndarray:
-    """Of edges at rest [m]."""
-    assert measurement.rest_vertices is not None and measurement.faces is not None
-    a, b = edges(measurement.faces).T
-    return np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=-1)
+def _lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Lengths (..., E) [m] of the edges of a mesh at vertices (..., V, 3)."""
+    a, b = edges(faces).T
+    return np.linalg.norm(vertices[..., a, :] - vertices[..., b, :], axis=-1)
 
 
 def _check_edges(vertices: np.ndarray, scene: Scene, where: str) -> None:
-    a, b = edges(scene.garment.faces).T
-    rest = np.linalg.norm(scene.garment.vertices[a] - scene.garment.vertices[b], axis=-1)
-    length = np.linalg.norm(vertices[:, a] - vertices[:, b], axis=-1) / rest
+    length = _lengths(vertices, scene.garment.faces) / _lengths(scene.garment.vertices, scene.garment.faces)
     low, middle, high = np.nanquantile(length, (0.1, 0.5, 0.9))
     if high > _SPREAD * low:
         raise CaphyError(

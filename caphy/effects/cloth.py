@@ -8,10 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.garment.topology import edges, face_areas, hinge_faces, hinges
-
-NO_AREA = 1e-6
-"""Least area of a face at rest, as a share of their median: less is what rounding leaves of none."""
+from caphy.garment.topology import edges, face_areas, hinge_faces, hinges, without_area
 
 
 @dataclass(frozen=True)
@@ -39,8 +36,7 @@ class Cloth:
         """The cloth of a :class:`caphy.garment.template.Garment` woven with an area density [kg/m^2]."""
         if not density > 0:
             raise CaphyError(f"the area density must be positive [kg/m^2], got {density}")
-        area = face_areas(garment.material)
-        flat = np.flatnonzero(area <= NO_AREA * np.median(area))
+        flat = without_area(garment.material)
         if flat.size:
             raise CaphyError(
                 f"garment {garment.name!r}: every face needs a rest area, but {flat.size} of {len(garment.faces)} have "

@@ -57,7 +57,7 @@ def garment_from_mesh(
             "at the body; turn all faces over in a mesh editor (flip normals)"
         )
     material, metric = rest_metric(mesh, marks, panel_scale)
-    flat = np.flatnonzero(topology.face_areas(material) <= 0)
+    flat = topology.without_area(material)
     if len(flat):
         raise CaphyError(
             f"{name}: every face needs an area, but {len(flat)} of {len(mesh.faces)} have none (first: face "

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+NO_AREA = 1e-6
+"""Least area of a face, as a share of their median: less is what rounding leaves of none."""
+
 
 def half_edges(faces: np.ndarray) -> np.ndarray:
     """Directed edges (3F, 2); half-edge ``3 f + k`` runs from corner ``k`` of face ``f`` to the next corner."""
@@ -203,6 +206,12 @@ def face_areas(points: np.ndarray, faces: np.ndarray | None = None) -> np.ndarra
     a, b = corner[..., 1, :] - corner[..., 0, :], corner[..., 2, :] - corner[..., 0, :]
     cross = (a * a).sum(-1) * (b * b).sum(-1) - (a * b).sum(-1) ** 2
     return 0.5 * np.sqrt(np.maximum(cross, 0.0))
+
+
+def without_area(corners: np.ndarray) -> np.ndarray:
+    """Triangles, of corners (F, 3, 2|3), that have no area but what rounding leaves."""
+    area = face_areas(corners)
+    return np.flatnonzero(area <= NO_AREA * np.median(area))
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

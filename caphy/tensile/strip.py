@@ -102,24 +102,24 @@ class Strip:
         alone = Model(model.density, {n: model.effects[n] for n in (name, *lenders)})
         potential = Potential(alone, square_cloth(self.side, model.density))
         potential.terms = {name: potential.terms[name]}
-        stretch = [torch.from_numpy(np.broadcast_to(s, self._shape[1:]).copy()) for s in self._stretches]
-        along, across = (s.requires_grad_(True) for s in stretch)
-        with torch.enable_grad():
-            x = self._positions(along, across)
-            energy = potential.energies(x, self._step(x, slope)).get(name, torch.zeros(()))
-            slopes = [torch.zeros_like(along)] * 2
-            if energy.requires_grad:
-                slopes = torch.autograd.grad(energy.sum(), (along, across), materialize_grads=True)
-        return np.stack([s.detach().numpy() for s in slopes]) / self.side**2
+        along, across = (torch.from_numpy(np.broadcast_to(s, self._shape[1:]).copy()) for s in self._stretches)
+        x = self._positions(along, across)
+        _, forces = potential.gradient(x, self._step(x, slope))
+        # Positions are those at rest times the stretches
+        weft, warp = (forces[..., :2] * self._rest[:, :2]).sum(-2).movedim(-1, 0).numpy()
+        return np.stack([weft, warp] if self.direction == "weft" else [warp, weft]) / self.side**2
+
+    @property
+    def _rest(self) -> torch.Tensor:
+        return torch.from_numpy(square_cloth(self.side, 1.0).vertices)
 
     @property
     def _stretches(self) -> tuple[np.ndarray, np.ndarray]:
         return 1 + self.axial[:, None], self.transverse[None]
 
     def _positions(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
-        rest = torch.from_numpy(square_cloth(self.side, 1.0).vertices)
         weft, warp = (along, across) if self.direction == "weft" else (across, along)
-        return rest * torch.stack([weft, warp, torch.zeros_like(weft)], -1)[..., None, :]
+        return self._rest * torch.stack([weft, warp, torch.zeros_like(weft)], -1)[..., None, :]
 
     def _step(self, x: torch.Tensor, slope: np.ndarray | None) -> Step | None:
         """The last step of a slow loading: from slightly less stretch, along the path."""
@@ -133,7 +133,7 @@ class Strip:
             )
         )
         dt = _BEHIND / self.rate
-        velocity = (x.detach() - before) / dt
+        velocity = (x - before) / dt
         return Step(dt, before, before + dt * velocity, before, velocity)
 
 
