@@ -127,7 +127,9 @@ class Grouped:
         """Counterparts (B, ...) of cloth at x (B, V, 3) in the ``scans`` (B,)."""
         x, scan = x.detach(), torch.as_tensor(scans, device=x.device)
         distance, point = self.cloth.nearest(x, scan)
-        shown = (self.over.nearest(x, scan)[0] > distance) & (self.everything.nearest(x, scan)[0] < UNSEEN)
+        # All points of the garment tell that it was seen there, else the thinned ones of everything
+        seen = (distance <= UNSEEN) | (self.everything.nearest(x, scan)[0] < UNSEEN)
+        shown = seen & (self.over.nearest(x, scan)[0] > distance)
         back = self.surface.nearest(self.sample[scan], x)
         corners = self.surface.faces[back.face]
         return Counterparts(point, shown.to(x), self.sample[scan], self.share[scan], corners, back.barycentric)

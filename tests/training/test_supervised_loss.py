@@ -100,8 +100,13 @@ def test_what_no_camera_saw_is_not_pulled_but_cloth_over_bare_skin_is():
     assert Target.of(points_of(front, body=skin), "lower", ()).counterparts(x)[1].all()
 
 
-def test_groups_find_the_counterparts_that_trees_find():
-    """On the CPU too, on which no training uses them; scans of different sizes, one under a shirt, one half unseen."""
+@pytest.mark.parametrize("thinned", [20_000, 60])
+def test_groups_find_the_counterparts_that_trees_find(monkeypatch, thinned):
+    """On the CPU too, on which no training uses them; scans of different sizes, one under a shirt, one half unseen.
+
+    Where everything is thinned far, the garment's own points alone tell that it was seen.
+    """
+    monkeypatch.setattr("caphy.training.counterparts.THINNED", thinned)
     garment = tube()
     points = sampled(worn(garment), garment.faces, 4000, 2)
     shirt = points[points[:, 1] > 0] * [1.05, 1, 1.05]
