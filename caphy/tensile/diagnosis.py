@@ -18,7 +18,7 @@ from caphy.tensile.fit import Bench, Fit
 from caphy.tensile.loadings import Fabrics, prepared
 from caphy.tensile.null import outside
 from caphy.tensile.numbers import own
-from caphy.tensile.search import Progress, Ranked, Search, numbers_of
+from caphy.tensile.search import Ranked, Say, Search, numbers_of
 from caphy.tensile.sentences import said
 from caphy.tensile.transfer import few_shot, shared_structure, transferred
 from caphy.tensile.unexplained import Dependence, dependence, drift, share_left
@@ -87,7 +87,7 @@ def diagnose_curves(
     model: Model,
     curves: Sequence[ForceCurve],
     held_out: Sequence[ForceCurve] = (),
-    progress: Progress | None = None,
+    say: Say | None = None,
 ) -> CurveDiagnosis:
     """Compare a model with tensile tests and name what it lacks.
 
@@ -95,21 +95,21 @@ def diagnose_curves(
         model: physics model with a membrane.
         curves: loadings to learn from: of one or several fabrics, each fitted with numbers of its own.
         held_out: loadings or fabrics that are only foretold; else each loading is left out in turn.
-        progress: called with (what, done, total).
+        say: told of each fit that is about to be made.
 
     Raises:
         CaphyError: the curves are not what tensile tests give, or the model has nothing that acts in them.
     """
     learning, held, cautions = split(curves, held_out)
     seen = candidates(model)
-    search = started(model, learning, seen)
+    search = replace(started(model, learning, seen), say=say)
     order, fabrics = [name for name in seen.added if name not in HISTORY], list(learning)
-    names, ranking = search.chosen(order, fabrics, progress)
+    names, ranking = search.chosen(order, fabrics)
     between = between_loadings(search.fits(numbers_of(names)), seen.added)
     used = [row.effect for row in between[:1] if row.accepted]
     if used:  # what only repeats have must not be taken for a part of what all loadings have
         search = remembering(search, names, used)
-        names, _ = search.chosen(order, fabrics, progress, names)
+        names, _ = search.chosen(order, fabrics, names)
     return answer(search, seen, names, used, learning, held, cautions, (*ranking, *between), order)
 
 
@@ -215,13 +215,15 @@ def remembering(search: Search, names: Sequence[str], used: Sequence[str]) -> Se
             values = learned(rows)[0] if rows else np.zeros(len(numbers))
             held = tuple(zip(numbers, map(float, values), strict=True))
             benches[fabric] = replace(search.benches[fabric], held=held)
-        search = Search(benches, search.base)
+        search = Search(benches, search.base, search.say)
     return search
 
 
 def replace_benches(search: Search, **changes: object) -> Search:
     """The search with benches changed."""
-    return Search({fabric: replace(bench, **changes) for fabric, bench in search.benches.items()}, search.base)
+    return Search(
+        {fabric: replace(bench, **changes) for fabric, bench in search.benches.items()}, search.base, search.say
+    )
 
 
 def _verdict(stages: Mapping[str, Mapping[str, Fit]], found: Sequence[str], left: float) -> str:

@@ -18,14 +18,13 @@ def diagnose_tables(
     """Diagnose a model from tables of force curves; raises :class:`caphy.errors.CaphyError`."""
     from tqdm import tqdm
 
-    with tqdm(total=1, desc="effects", leave=False) as bar:
+    with tqdm(desc="fits", unit="fit", leave=False) as bar:
 
-        def progress(what: str, done: int, total: int) -> None:
-            bar.total = total
-            bar.set_postfix_str(what, refresh=False)
-            bar.update(done - bar.n)
+        def say(what: str) -> None:
+            bar.update()
+            bar.set_postfix_str(what)
 
-        answer = diagnose_curves(model, _curves(tables), _curves(held_out), progress)
+        answer = diagnose_curves(model, _curves(tables), _curves(held_out), say)
     _finish(answer, output, tables)
     return answer
 

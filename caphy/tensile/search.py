@@ -16,7 +16,8 @@ LEAST_GAIN = 0.03
 _NEAR, _SHARE = 0.03, 0.9
 _ALONE = 1e-3  # share of a number's response that no other explains, below which tests cannot tell it
 
-Progress = Callable[[str, int, int], None]
+Say = Callable[[str], None]
+"""Told what is about to be fitted to which tests."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,12 @@ class Search:
     Attributes:
         benches: tests of each fabric.
         base: the numbers of the model's own that are free.
+        say: told of each fit.
     """
 
     benches: dict[str, Bench]
     base: tuple[Number, ...]
+    say: Say | None = None
     _fits: dict[tuple[str, tuple[Number, ...]], Fit] = field(default_factory=dict, repr=False)
 
     def fit(self, fabric: str, extra: Sequence[Number] = ()) -> Fit:
@@ -60,6 +63,9 @@ class Search:
         numbers = (*self.base, *extra)
         key = fabric, numbers
         if key not in self._fits:
+            if self.say is not None:
+                effects = dict.fromkeys(number.effect for number in extra)
+                self.say(f"{', '.join(effects) or 'its own parameters'} on {fabric}")
             bench = self.benches[fabric]
             tried = [_extended(near, bench, self.base, tuple(extra)) for near in self._nearer(fabric, extra)]
             self._fits[key] = min(tried, key=lambda fit: fit.misfit) if extra else fitted(bench, numbers)
@@ -87,7 +93,6 @@ class Search:
         self,
         candidates: Sequence[str],
         fabrics: Sequence[str],
-        progress: Progress | None = None,
         start: Sequence[str] = (),
     ) -> tuple[list[str], list[Ranked]]:
         """Names of effects that pass, in order, after those to start with; and the ranking of the first round."""
@@ -96,7 +101,7 @@ class Search:
         for _ in candidates:
             if names and not any(outside(self.fit(f, numbers_of(names))) for f in fabrics):
                 break
-            ranking = self._ranking(names, [c for c in candidates if c not in names], fabrics, progress)
+            ranking = self._ranking(names, [c for c in candidates if c not in names], fabrics)
             first = first or ranking
             best = _simplest(ranking)
             if best is None:
@@ -104,15 +109,9 @@ class Search:
             names.append(best.effect)
         return self.without_useless(names, fabrics), first
 
-    def _ranking(
-        self, names: Sequence[str], candidates: Sequence[str], fabrics: Sequence[str], progress: Progress | None
-    ) -> list[Ranked]:
+    def _ranking(self, names: Sequence[str], candidates: Sequence[str], fabrics: Sequence[str]) -> list[Ranked]:
         old = numbers_of(names)
-        rows = []
-        for i, candidate in enumerate(candidates):
-            if progress:
-                progress(f"trying {candidate}", i, len(candidates))
-            rows.append((candidate, self.gains(old, (*old, *added(candidate)), fabrics)))
+        rows = [(candidate, self.gains(old, (*old, *added(candidate)), fabrics)) for candidate in candidates]
         threshold = self._threshold(old, candidates, fabrics)
         ranked = [
             Ranked(name, float(np.mean(list(gains.values()))), gains, threshold, count=len(added(name)))

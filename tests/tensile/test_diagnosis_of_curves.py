@@ -103,7 +103,9 @@ def test_shapes_from_outside_the_library_are_flagged(law):
 def test_held_out_loadings_are_foretold():
     curves = measured(isotropic(fourth=1500.0), TOP, 2)
     away = [curve for curve in curves if curve.loading == 4]
-    answer = diagnose_curves(model(), [c for c in curves if c not in away], away)
+    said: list[str] = []
+    answer = diagnose_curves(model(), [c for c in curves if c not in away], away, said.append)
+    assert {"its own parameters on cloth", "strain_stiffening on cloth"} <= set(said)
     assert [(e.direction, e.loading) for e in answer.loadings] == [("weft", 4), ("warp", 4)]
     error = answer.loadings[0]
     assert error.floor is not None and error.rms["with effects"] < 1.6 * error.floor < 0.3 * error.rms["as given"]
