@@ -115,8 +115,10 @@ def _obj_vertices(path: Path) -> tuple[np.ndarray, bool]:
     """
     lines = [line.split(maxsplit=7) for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
     vertices = [line for line in lines if line[:1] == ["v"]]
-    materials = [" ".join(line[1:]) for line in lines if line[:1] == ["mtllib"]]
-    painted = all((path.parent / name).is_file() for name in materials) or any(len(line) > 6 for line in vertices[:1])
+    # A line names one file, whose name may have spaces, or several
+    materials = [(" ".join(line[1:]), *line[1:]) for line in lines if line[:1] == ["mtllib"]]
+    there = all(any((path.parent / name).is_file() for name in names) for names in materials)
+    painted = there or any(len(line) > 6 for line in vertices[:1])
     return np.array([line[1:4] for line in vertices], dtype=np.float64).reshape(-1, 3), painted
 
 

@@ -61,6 +61,12 @@ def test_obj_with_a_texture_keeps_the_order_of_its_vertices(tmp_path):
     assert scan.faces.max() == 3
     assert list(scan.colours[1]) == [255, 0, 0]
     assert list(scan.colours[3]) == [0, 0, 255]
+    text = (tmp_path / "quad.obj").read_text()
+    for name in ("our quad.mtl", "quad.mtl"):
+        shutil.move(next(tmp_path.glob("*.mtl")), tmp_path / name)
+        (tmp_path / "quad.obj").write_text(text.replace("mtllib quad.mtl", f"mtllib {name}"))
+        (scan,) = ScanSet.read(tmp_path)
+        assert list(scan.colours[1]) == [255, 0, 0]
     (tmp_path / "quad.mtl").unlink()  # readers make a grey of their own then
     (scan,) = ScanSet.read(tmp_path)
     assert scan.colours is None and len(scan.vertices) == 4
