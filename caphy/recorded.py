@@ -65,14 +65,14 @@ def _recording(work: Callable[..., tuple[Tensor, ...]], given: tuple[Tensor, ...
     """How to play the work on tensors of these shapes."""
     buffers = [x.detach().clone(memory_format=torch.contiguous_format) for x in given]
     graph, device = torch.cuda.CUDAGraph(), given[0].device
-    living = _living.setdefault(device, WeakSet())
-    pool = next((other.pool() for other in living), None)
     collects = gc.isenabled()
-    gc.collect()
+    gc.collect()  # before it is asked who lives: a room is gone with the last who does
     gc.disable()  # a recording that is let go of while another is made would spoil it
+    living = _living.setdefault(device, WeakSet())
+    other = next(iter(living), None)
     try:
         # Other threads, such as those of several processes' talk, may use the GPU meanwhile
-        with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
+        with torch.cuda.graph(graph, pool=other and other.pool(), capture_error_mode="thread_local"):
             answers = work(*buffers)
     finally:
         if collects:

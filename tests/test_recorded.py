@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import pytest
 import torch
 
@@ -43,3 +45,18 @@ def test_what_waits_for_its_own_numbers_is_worked_through(device: str) -> None:
         x = torch.rand(20, device=device)
         torch.testing.assert_close(recorded(x)[0], x[x > x.mean()])
         torch.testing.assert_close(other(x)[0], x + x)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_what_was_recorded_before_and_is_garbage_leaves_its_room(device: str) -> None:
+    """As a training that is done: it refers to itself, and is collected only when another is recorded."""
+    gc.disable()
+    try:
+        for _ in range(3):
+            recorded = Recorded(lambda x: (x @ x,))
+            recorded.itself = recorded  # pyright: ignore[reportAttributeAccessIssue]
+            for _ in range(WARM + 3):
+                x = torch.rand(30, 30, device=device)
+                torch.testing.assert_close(recorded(x)[0], x @ x)
+    finally:
+        gc.enable()

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.body.surface import NearestPoints, Surface
+from caphy.body.surface import NearestPoints, Surface, barycentric_on_triangle
 from caphy.body.triangle_tree import build_order
 from caphy.recorded import Recorded
 
@@ -64,10 +64,10 @@ class GroupedSurface:
         middle = vertices.mean(1, keepdim=True)
         points, vertices = points - middle, vertices - middle
         corners, frame = vertices[:, self.faces], torch.arange(len(points), device=points.device)[:, None]
-        a, b, c = corners[frame, face].unbind(2)
-        u, v, w = _barycentric(points, a, b, c)
-        nearest = u[..., None] * a + v[..., None] * b + w[..., None] * c
-        weights, offset = torch.stack([u, v, w], -1), points - nearest
+        own = corners[frame, face]
+        weights = barycentric_on_triangle(torch, points, *own.unbind(2))
+        nearest = (weights[..., None] * own).sum(-2)
+        offset = points - nearest
         outward = self._pseudonormals(corners, vertices, frame, face, weights)
         distance = _dot(offset, offset).sqrt().copysign(_dot(offset, outward))
         far = distance.abs() > ON_SURFACE
@@ -201,32 +201,6 @@ def _squares(
     inside = ((from_corner * inwards[group]).sum(-1) > 0).all(-1)
     height = (from_corner[..., 0, :] * normal[group]).sum(-1)
     return torch.where(inside, height.square(), beside.square().sum(-1).amin(-1))
-
-
-def _barycentric(p: Tensor, a: Tensor, b: Tensor, c: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Weights (...) of the point of triangle abc (..., 3) nearest to p (..., 3).
-
-    As in :mod:`caphy.body.triangle_tree`: exactly zero where the point lies on an edge or a corner.
-    """
-    ab, ac = b - a, c - a
-    d1, d2, d3, d4, d5, d6 = (_dot(side, p - corner) for corner in (a, b, c) for side in (ab, ac))
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    one, none, total = torch.ones_like(d1), torch.zeros_like(d1), va + vb + vc
-    u, v, w = one, none, none
-    t_ab, t_ac, t_bc = d1 / (d1 - d3), d2 / (d2 - d6), (d4 - d3) / ((d4 - d3) + (d5 - d6))
-    # From the last of Ericson's cases to the first, so that the first that holds has the last word
-    cases = (
-        (total > 0, (1 - vb / total - vc / total).clamp_min(0), vb / total, vc / total),
-        ((va <= 0) & (d4 >= d3) & (d5 >= d6) & ((d4 - d3) + (d5 - d6) > 0), none, 1 - t_bc, t_bc),
-        ((vb <= 0) & (d2 >= 0) & (d6 <= 0) & (d2 > d6), 1 - t_ac, none, t_ac),
-        ((d6 >= 0) & (d5 <= d6), none, none, one),
-        ((vc <= 0) & (d1 >= 0) & (d3 <= 0) & (d1 > d3), 1 - t_ab, t_ab, none),
-        ((d3 >= 0) & (d4 <= d3), none, one, none),
-        ((d1 <= 0) & (d2 <= 0), one, none, none),
-    )
-    for holds, of_a, of_b, of_c in cases:
-        u, v, w = torch.where(holds, of_a, u), torch.where(holds, of_b, v), torch.where(holds, of_c, w)
-    return u, v, w
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:

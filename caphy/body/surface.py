@@ -114,7 +114,7 @@ def nearest_on_faces(points: Array, vertices: Array, faces: Array, face: Array) 
     """
     xp = array_namespace(points)
     a, b, c = (_corner(xp, vertices, faces[face][..., i]) for i in range(3))
-    weights = _barycentric_on_triangle(xp, points, a, b, c)
+    weights = barycentric_on_triangle(xp, points, a, b, c)
     point = weights[..., 0, None] * a + weights[..., 1, None] * b + weights[..., 2, None] * c
     normal = xp.linalg.cross(b - a, c - a)
     normal = normal / xp.sqrt(_dot(xp, normal, normal))[..., None]
@@ -140,7 +140,7 @@ def _dot(xp: Any, a: Array, b: Array) -> Array:
     return xp.sum(a * b, axis=-1)
 
 
-def _barycentric_on_triangle(xp: Any, p: Array, a: Array, b: Array, c: Array) -> Array:
+def barycentric_on_triangle(xp: Any, p: Array, a: Array, b: Array, c: Array) -> Array:
     """Weights (..., 3) of the point of triangle abc nearest to p: the inside solution, else the best edge's."""
     ab, ac, ap = b - a, c - a, p - a
     d00, d01, d11 = _dot(xp, ab, ab), _dot(xp, ab, ac), _dot(xp, ac, ac)
@@ -154,7 +154,7 @@ def _barycentric_on_triangle(xp: Any, p: Array, a: Array, b: Array, c: Array) ->
     for i, j, start, along in ((0, 1, a, ab), (1, 2, b, c - b), (2, 0, c, -ac)):
         length = _dot(xp, along, along)
         t = _dot(xp, p - start, along) / xp.where(length > 0, length, xp.ones_like(length))
-        t = xp.clip(t, 0, 1)
+        t = xp.minimum(xp.maximum(t, xp.zeros_like(t)), xp.ones_like(t))  # a clip of a tensor waits for a GPU
         offset = p - start - t[..., None] * along
         square = _dot(xp, offset, offset)
         columns = [xp.zeros_like(t)] * 3

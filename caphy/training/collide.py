@@ -194,7 +194,7 @@ class Collider:
         return {f"learner{i}": learner for i, learner in enumerate(self.learners)}
 
     def _require_finite(self, *values: Tensor) -> None:
-        if not all(torch.isfinite(value.sum()) for value in values):
+        if not torch.isfinite(torch.stack([value.sum() for value in values]).sum()):
             raise CaphyError(
                 f"step {self.done + 1}: a prediction, its loss or the gradient is not finite. The last good checkpoint "
                 f"is kept in {self.folder}; check the trainings with 'caphy validate', then go on with --resume"

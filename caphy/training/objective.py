@@ -13,6 +13,7 @@ from caphy.body.model import BodyModel
 from caphy.body.skinning import blend_transforms, skin
 from caphy.effects.base import BodyState, Step
 from caphy.effects.potential import Potential
+from caphy.recorded import Recorded
 from caphy.training.motions import Motions
 from caphy.training.skin_seen import skin_seen
 from caphy.training.streams import Windows
@@ -54,6 +55,7 @@ class Objective:
         self.potential, self.body, self.betas, self.dt = potential, body, betas, 1 / fps
         self.template, self.weights = template, weights
         self.seen = skin_seen(body, betas, template)
+        self._move = Recorded(self._moved)
 
     def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Past]:
         """Potential (B, K) [J] of the scored frames, and the streams' past after the windows.
@@ -80,24 +82,34 @@ class Objective:
         """The scored frames at offsets (B, T, V, 3), and the streams' past after the windows."""
         device = self.template.device
         frames = torch.from_numpy(np.concatenate([windows.before[:, None], windows.frames], 1))
-        blended = blend_transforms(self.weights, motions.transforms[frames].to(device))
-        x = skin(blended[:, 1:], self.template + offsets)
-        carried = skin(blended[:, 0], self.template + offsets[:, 0].detach())
-        fresh = torch.from_numpy(windows.fresh).to(device)[:, None, None]
-        past = Past(past.before, torch.where(fresh, carried, past.previous))
-        history = torch.cat([past.before[:, None], past.previous[:, None], x.detach()], 1)
-
-        rows = torch.arange(len(frames), device=device)[:, None]
-        scored = torch.from_numpy(windows.scored).to(device)
-        anchor = skin(blended[rows, scored + 1], self.template)
-        still = torch.from_numpy(windows.held[:, None] | (windows.fresh[:, None] & (windows.scored == 0)))
-        still = still.to(device)[..., None, None]
-        now = history[rows, scored + 2]
-        previous, before = (torch.where(still, now, history[rows, scored + back]) for back in (1, 0))
+        fresh, held, scored = (torch.from_numpy(part) for part in (windows.fresh, windows.held, windows.scored))
+        still = held[:, None] | (fresh[:, None] & (scored == 0))
+        given = [part.to(device) for part in (motions.transforms[frames], fresh, still, scored)]
+        moved = self._move(offsets, past.before, past.previous, *given)
+        turned, now, previous, before, anchor, *past_after = moved
         time = motions.times(np.take_along_axis(windows.frames, windows.scored, 1), 1 / self.dt)
         step = replace(Step.implicit_euler(self.dt, previous, before), time=torch.from_numpy(time).to(now)[..., None])
         body = self.body_state(motions, windows, now, anchor)
-        return Scene(x[rows, scored], step, body), Past(history[:, -2], history[:, -1])
+        return Scene(_carried(offsets, now, turned, given[3]), step, body), Past(*past_after)
+
+    def _moved(
+        self, offsets: Tensor, before: Tensor, previous: Tensor, transforms: Tensor, fresh: Tensor, still: Tensor,
+        scored: Tensor,
+    ) -> tuple[Tensor, ...]:  # fmt: skip
+        """Scored frames of offsets (B, T, V, 3) on bodies of transforms (B, 1 + T, 55, 3, 4), the frame before first.
+
+        Returns of scored frames what turned them, (B, K, V, 3, 3), and positions (B, K, V, 3) [m]: their own, those of
+        one and two steps before, and the skinned template's; then the streams' two last frames, for the next window.
+        """
+        blended = blend_transforms(self.weights, transforms)
+        x = skin(blended[:, 1:], self.template + offsets)
+        carried = skin(blended[:, 0], self.template + offsets[:, 0])
+        history = torch.cat([before[:, None], torch.where(fresh[:, None, None], carried, previous)[:, None], x], 1)
+        rows = torch.arange(len(offsets), device=x.device)[:, None]
+        seen = blended[rows, scored + 1]
+        now = history[rows, scored + 2]
+        earlier = (torch.where(still[..., None, None], now, history[rows, scored + back]) for back in (1, 0))
+        return seen[..., :3], now, *earlier, skin(seen, self.template), history[:, -2], history[:, -1]
 
     def body_state(self, motions: Motions, windows: Windows, x: Tensor, anchor: Tensor) -> BodyState:
         """What the vertices at x (B, K, V, 3) see of the body in the scored frames, moving as since the last frame."""
@@ -106,3 +118,23 @@ class Objective:
         seen = self.seen(motions, frames, last, x.flatten(0, 1), self.dt)
         point, normal, velocity = (each.unflatten(0, x.shape[:2]) for each in seen)
         return BodyState(point, normal, velocity, anchor)
+
+
+def _carried(offsets: Tensor, x: Tensor, turned: Tensor, scored: Tensor) -> Tensor:
+    """Positions x (B, K, V, 3), differentiable in the offsets (B, T, V, 3) whose ``scored`` frames lie there."""
+    return _Carried.apply(offsets, x, turned, scored)  # pyright: ignore[reportReturnType]
+
+
+class _Carried(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, offsets: Tensor, x: Tensor, turned: Tensor, scored: Tensor) -> Tensor:
+        ctx.save_for_backward(turned, scored)
+        ctx.shape = offsets.shape
+        return x
+
+    @staticmethod
+    def backward(ctx, *gradient: Tensor) -> tuple[Tensor, None, None, None]:
+        turned, scored = ctx.saved_tensors
+        back = (turned * gradient[0][..., None]).sum(-2)
+        rows = torch.arange(len(scored), device=scored.device)[:, None]
+        return back.new_zeros(ctx.shape).index_put_((rows, scored), back), None, None, None
