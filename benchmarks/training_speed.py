@@ -20,6 +20,7 @@ from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
 from caphy.io.procedural import procedural_motion
 from caphy.network.garment_network import GarmentNetwork
+from caphy.recorded import WARM
 from caphy.training import streams
 from caphy.training.loop import Schedule, Trainer
 from caphy.training.motions import Motions
@@ -62,7 +63,7 @@ def measure(steps: int, scored: int, device: str = "cpu") -> None:
     streams.SCORED = scored
     with tempfile.TemporaryDirectory() as folder:
         training = trainer(Path(folder), device)
-        for _ in range(2):
+        for _ in range(WARM + 2):  # a GPU works some steps through before it records them
             training.step()
         spent: dict[str, float] = {}
         timed(training.objective, "body_state", spent)

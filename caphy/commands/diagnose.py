@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+import shutil
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +22,10 @@ from caphy.io.places import writable_folder
 if TYPE_CHECKING:
     from caphy.diagnose.diagnosis import Diagnosis
     from caphy.effects.model import Model
+
+
+UNFINISHED = "unfinished"
+"""Where work that was stopped lies; beside a file of that name and this ending."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +64,25 @@ def main(arguments: list[str]) -> None:
     if tables:
         _diagnose_curves(command, model)
         return
-    diagnosis = _diagnosed(command, model)
-    write(diagnosis, command)
-    if command.held_out and diagnosis.verdict in ("named", "parameters"):
-        _before_after(model, diagnosis.model, command)
+    with unfinished(command.output / UNFINISHED) as kept:
+        diagnosis = _diagnosed(command, model, kept)
+        write(diagnosis, command)
+        if command.held_out and diagnosis.verdict in ("named", "parameters"):
+            _before_after(model, diagnosis.model, command)
+
+
+@contextmanager
+def unfinished(folder: Path) -> Iterator[Path]:
+    """A folder for what hours of work found; it goes when they end well, and the same command goes on from it else."""
+    if folder.is_dir():
+        print(f"going on from what an earlier run left in {folder}")
+    try:
+        yield folder
+    except KeyboardInterrupt:
+        if folder.is_dir():
+            print(f"\nstopped; the same command goes on from {folder}", file=sys.stderr)
+        raise
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
@@ -73,7 +95,7 @@ def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
     return model
 
 
-def _diagnosed(command: Diagnose, model: Model) -> Diagnosis:
+def _diagnosed(command: Diagnose, model: Model, kept: Path) -> Diagnosis:
     import torch
 
     from caphy.body.model import BodyModel
@@ -88,7 +110,7 @@ def _diagnosed(command: Diagnose, model: Model) -> Diagnosis:
     ]
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
-    with Progress("diagnosis") as progress, Crew(command.effect_file) as crew:
+    with Progress("diagnosis") as progress, Crew(command.effect_file, kept=kept) as crew:
         return diagnose(model, *read, garment=garment, body=body, progress=progress, crew=crew)
 
 

@@ -10,7 +10,7 @@ import tyro
 
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text
-from caphy.commands.diagnose import physics_model
+from caphy.commands.diagnose import UNFINISHED, physics_model, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder
 
@@ -58,10 +58,11 @@ def main(arguments: list[str]) -> None:
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")
     writable_file(command.output)
-    _refit(command, model)
+    with unfinished(command.output.with_suffix(f".{UNFINISHED}")) as kept:
+        _refit(command, model, kept)
 
 
-def _refit(command: RefitCommand, model: Model) -> None:
+def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     import torch
 
     from caphy.body.model import BodyModel
@@ -80,7 +81,7 @@ def _refit(command: RefitCommand, model: Model) -> None:
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
     require_one_cloth(measured=measured, base=calm, held_out=proof)
-    with Progress("refit") as progress, Crew(command.effect_file) as crew:
+    with Progress("refit") as progress, Crew(command.effect_file, kept=kept) as crew:
         learned = base_of(model, calm, garment, body, progress, crew)
         found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
     print(table(found))

@@ -116,16 +116,22 @@ def registered(scene: Scene, model: Model, progress: Progress | None = None) -> 
             break
         size = wanted
         model = model.with_effect(_SIZE, **dict(zip(_WAYS, size, strict=True)))
+    seen = np.where(visible[..., None], vertices, np.nan)
+    return registered_as(scene, seen, ends, "registered with the model's help" + _resized(size - own))
+
+
+def registered_as(scene: Scene, vertices: np.ndarray, ends: np.ndarray, note: str) -> Scene:
+    """A scene whose cloud has become ``vertices`` (T, V, 3) [m], NaN where not seen, with the cloth's ``ends``."""
     noise = measurement_noise(scene.measurement)
     measurement = replace(
         scene.measurement,
-        vertices=np.where(visible[..., None], vertices, np.nan),
+        vertices=vertices,
         faces=scene.garment.faces,
         points=None,
         offsets=None,
         noise=None,
         noise_mm=None if noise is None else 1e3 * noise.sigma,
-        notes=(*scene.measurement.notes, "registered with the model's help" + _resized(size - own)),
+        notes=(*scene.measurement.notes, note),
     )
     return replace(scene, measurement=measurement, ends=ends, cloud=scene.measurement)
 

@@ -19,10 +19,11 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
-from caphy.measure.track import registered
+from caphy.measure.track import registered, registered_as
 from caphy.processes import cores, end_at_ctrl_c, one_thread_each
 from caphy.refit.columns import Column
-from caphy.refit.responses import Response, Watched, watched
+from caphy.refit.kept import Kept
+from caphy.refit.responses import ARRAYS, Response, Watched, watched
 from caphy.refit.tangents import Pushes
 
 Place = tuple[int, int]
@@ -36,11 +37,12 @@ class Crew:
     does not depend on which one was free.
     """
 
-    def __init__(self, effect_files: Sequence[Path] = (), size: int | None = None) -> None:
-        """``effect_files`` hold effects of the user's own, which every process must know."""
+    def __init__(self, effect_files: Sequence[Path] = (), size: int | None = None, kept: Path | None = None) -> None:
+        """``effect_files`` hold effects of the user's own, which every process must know. With a folder ``kept`` what
+        the processes find is written there, and not worked out again by those of a later crew."""
         size = cores() if size is None else size
         context = get_context("spawn")
-        self._each = [ProcessPoolExecutor(1, context, _begin, (tuple(effect_files),)) for _ in range(size)]
+        self._each = [ProcessPoolExecutor(1, context, _begin, (tuple(effect_files), kept)) for _ in range(size)]
         self._studies = 0
         with one_thread_each():
             for each in self._each:
@@ -117,17 +119,22 @@ class Crew:
 
 
 _KNOWN: dict[int, list[Watched]] = {}
+_GIVEN: dict[int, list[str]] = {}
+"""What the scenes of studies are made of, as keys."""
+_kept = Kept()
 
 
-def _begin(effect_files: Sequence[Path]) -> None:
+def _begin(effect_files: Sequence[Path], kept: Path | None) -> None:
     import torch
 
     from caphy.effects.registry import register_file
 
+    global _kept  # noqa: PLW0603  (a process serves one crew)
     end_at_ctrl_c()
     torch.set_num_threads(1)
     for file in effect_files:
         register_file(file)
+    _kept = Kept(kept, effect_files)
 
 
 def _bound(scene: Scene) -> tuple[Measurement, Garment, BodyModel | None]:
@@ -138,7 +145,14 @@ def _bound(scene: Scene) -> tuple[Measurement, Garment, BodyModel | None]:
 def _register(
     measurement: Measurement, garment: Garment, body: BodyModel | None, model: Model
 ) -> tuple[Measurement, np.ndarray | None]:
-    scene = registered(Scene.of(measurement, garment, body), model)
+    scene = Scene.of(measurement, garment, body)
+    key = _kept.key("register", measurement, garment, body, model)
+    if (found := _kept.recall(key)) is not None:
+        scene = registered_as(scene, found["vertices"], found["ends"], str(found["note"]))
+    else:
+        scene = registered(scene, model)
+        of_cloud = {"vertices": scene.measurement.vertices, "ends": scene.ends, "note": scene.measurement.notes[-1]}
+        _kept.keep(key, {name: np.asarray(value) for name, value in of_cloud.items()})
     return scene.measurement, scene.ends
 
 
@@ -150,6 +164,7 @@ def _learn(
 ) -> None:
     scenes = [replace(Scene.of(measured, garment, body), ends=ends) for measured, garment, body, ends in given]
     _KNOWN[study] = watched(scenes, length, None if like is None else _KNOWN[like])
+    _GIVEN[study] = [_kept.key(length, *each) for each in given]
 
 
 def _respond(
@@ -162,4 +177,14 @@ def _respond(
     anew: frozenset[str],
 ) -> list[Response]:
     each = _KNOWN[study][number]
-    return list(each.respond(model, columns, frames, None if pushes is None else pushes(each), anew))
+    of = _GIVEN[study][number], number, frames, each.errors_known(frames), model, columns, pushes, anew
+    key = _kept.key("respond", *of)
+    if (found := _kept.recall(key)) is not None:
+        each.know_errors(frames, found["of_solver"], found["of_start"])
+        return [Response(number, frame, *(found[name][i] for name in ARRAYS)) for i, frame in enumerate(frames)]
+    answers = list(each.respond(model, columns, frames, None if pushes is None else pushes(each), anew))
+    told = {name: np.stack([getattr(answer, name) for answer in answers]) for name in ARRAYS}
+    of_solver, of_start = each.errors_known(frames)
+    told |= {"of_solver": np.stack([*of_solver.values()]), "of_start": np.stack([*of_start.values()])}
+    _kept.keep(key, told)
+    return answers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -82,6 +82,10 @@ class Response:
         return replace(self, residual=self.residual - amount * self.of_mesh, nuisance=left)
 
 
+ARRAYS = tuple(each.name for each in fields(Response) if each.name not in ("scene", "start"))
+"""Names of what of a response is arrays."""
+
+
 class Watched:
     """A measured scene, cut into windows."""
 
@@ -156,6 +160,16 @@ class Watched:
                 of_mesh = self._finer.difference(finer, state, run)
                 self._solver[frame] = np.stack([run.positions - rough, of_mesh], axis=1)[1:]
             yield self._response(frame, run, changes[1:], 0 if errors is None else len(errors.x))
+
+    def errors_known(self, frames: Sequence[int]) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
+        """Of windows that start at these frames what time step and mesh, and what errors of the start, do to each as
+        far as that is known, by frame."""
+        return tuple({f: of[f] for f in frames if f in of} for of in (self._solver, self._starts))  # type: ignore[return-value]
+
+    def know_errors(self, frames: Sequence[int], of_solver: np.ndarray, of_start: np.ndarray) -> None:
+        """Take :meth:`errors_known` of each of the frames, in their order, from elsewhere."""
+        self._solver.update(zip(frames, of_solver, strict=True))
+        self._starts.update(zip(frames, of_start, strict=True))
 
     def _abrupt(self, model: Model, columns: Sequence[Column]) -> dict[int, tuple[float, Simulator]]:
         """Where columns are whose first bit does all: the default of each, and a simulator of the model with it."""

@@ -11,6 +11,7 @@ import trimesh
 from explicit_cloth import clouds, measured, seen, simulate
 
 from caphy.cli import main
+from caphy.commands import diagnose as commands
 from caphy.diagnose.base import checked_scenes, from_base
 from caphy.diagnose.diagnosis import Diagnosis, _concluded, diagnose
 from caphy.diagnose.figures import figures, sentences
@@ -195,13 +196,30 @@ def test_bad_measurements_get_no_name(plain, spoil, message):
         diagnose(MODEL, [replace(plain, vertices=vertices, pinned_positions=pins)])
 
 
-def test_the_commands_write_what_they_say(tmp_path, dragged, capsys):
+def test_the_commands_write_what_they_say_and_go_on_where_they_were_stopped(tmp_path, dragged, capsys, monkeypatch):
     for number, measurement in enumerate(dragged):
         write_measurement(measurement, tmp_path / f"m{number}.npz")
     (tmp_path / "model.json").write_text(MODEL.to_json())
     model, measured_path = str(tmp_path / "model.json"), str(tmp_path / "m0.npz")
-    assert main(["diagnose", model, measured_path, "-o", str(tmp_path / "d")]) == 0
+    words, kept, told, write = ["diagnose", model, measured_path, "-o", str(tmp_path / "d")], [], [], commands.write
+
+    def stopped(*found: object) -> None:
+        raise KeyboardInterrupt
+
+    def going_on(*found: object) -> None:
+        told.extend(sorted(kept[0].iterdir()))
+        write(*found)
+
+    monkeypatch.setattr(commands, "write", stopped)
+    assert main(words) == 130
+    kept.append(tmp_path / "d" / "unfinished")
+    assert f"the same command goes on from {kept[0]}" in capsys.readouterr().err
+    files = sorted(kept[0].iterdir())
+    monkeypatch.setattr(commands, "write", going_on)
+    assert main(words) == 0
+    assert told == files and not kept[0].exists()  # nothing was found anew
     said = capsys.readouterr().out
+    assert "going on from" in said
     assert "caphy refit" in said and "--add mass_damping" in said
     assert json.loads((tmp_path / "d" / "diagnosis.json").read_text())["found"] == ["mass_damping"]
     page = (tmp_path / "d" / "diagnosis.html").read_text()
@@ -215,6 +233,7 @@ def test_the_commands_write_what_they_say(tmp_path, dragged, capsys):
     assert again.history[-1].added == ("mass_damping",)
     assert again.history[-1].error_after < again.history[-1].error_before
     assert "before" in better.with_suffix(".html").read_text()
+    assert not better.with_suffix(".unfinished").exists()
 
 
 def test_what_clouds_tell_is_told_by_those_registered_again(named, apart, dragged, monkeypatch):

@@ -1,0 +1,79 @@
+"""What was rolled out and registered, kept on disk until the answer is there: work that was stopped goes on from it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+
+import caphy
+from caphy.errors import CaphyError
+from caphy.garment.template import read_npz, write_npz
+
+
+class Kept:
+    """A folder of arrays, each file named by a digest of all that they follow from; without one nothing is kept."""
+
+    def __init__(self, folder: Path | None = None, effect_files: Sequence[Path] = ()) -> None:
+        """``effect_files``: the user's own effects, whose code counts."""
+        self.folder = folder
+        self._code = digest(caphy.__version__, [file.read_bytes() for file in effect_files])
+
+    def key(self, *of: object) -> str:
+        """The name of what follows from ``of``, this version of caphy and the user's effects."""
+        return "" if self.folder is None else digest(self._code, *of)
+
+    def recall(self, key: str) -> dict[str, np.ndarray] | None:
+        """What was kept by that name; nothing where there is none, or half of it."""
+        if self.folder is None or not (path := self.folder / f"{key}.npz").is_file():
+            return None
+        try:
+            return read_npz(path)
+        except CaphyError:  # damaged: it is made again
+            return None
+
+    def keep(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write arrays by that name, at once or not at all."""
+        if self.folder is not None:
+            write_npz(self.folder / f"{key}.npz", arrays)
+
+
+def digest(*values: object) -> str:
+    """SHA-256 of plain values, arrays, and containers and dataclasses of them, the same in every process.
+
+    Raises TypeError for anything else, whose content cannot be told.
+    """
+    told = hashlib.sha256()
+    for part in _parts(values):
+        told.update(len(part).to_bytes(8, "little") + part)
+    return told.hexdigest()
+
+
+def _parts(value: object) -> Iterator[bytes]:
+    yield type(value).__name__.encode()
+    if value is None or isinstance(value, bool | int | float | str | Path):
+        yield repr(value).encode()
+    elif isinstance(value, bytes):
+        yield value
+    elif isinstance(value, np.ndarray | np.generic):
+        yield f"{value.dtype.str} {value.shape}".encode()
+        yield value.tobytes()
+    elif isinstance(value, Mapping):
+        for key in sorted(value, key=repr):
+            yield from _parts(key)
+            yield from _parts(value[key])
+    elif isinstance(value, set | frozenset):
+        yield from _parts(sorted(value, key=repr))
+    elif isinstance(value, list | tuple):
+        yield str(len(value)).encode()
+        for each in value:
+            yield from _parts(each)
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield field.name.encode()
+            yield from _parts(getattr(value, field.name))
+    else:
+        raise TypeError(f"cannot tell the content of {type(value).__name__}")
