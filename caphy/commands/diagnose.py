@@ -187,9 +187,12 @@ def _page(diagnosis: Diagnosis, told: dict, command: Diagnose) -> str:
 
 
 def _diagnose_curves(command: Diagnose, model: Model) -> None:
+    from caphy.refit.kept import Kept
     from caphy.tensile.run import diagnose_tables
 
-    answer = diagnose_tables(model, command.measurements, command.output, command.held_out)
+    with unfinished(command.output / UNFINISHED) as folder:
+        kept = Kept(folder, command.effect_file)
+        answer = diagnose_tables(model, command.measurements, command.output, command.held_out, kept)
     if answer.verdict in ("named", "none of these"):
         found = [*answer.found, *answer.found_used]
         following = next_command("named", found, command, "refitted") if found else ["caphy", "effects", "new", "NAME"]

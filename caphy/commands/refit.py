@@ -50,10 +50,13 @@ def main(arguments: list[str]) -> None:
         raise CaphyError("give at least one measurement")
     model = physics_model(command.model, command.effect_file)
     if all(path.suffix == ".csv" for path in command.measurements):
+        from caphy.refit.kept import Kept
         from caphy.tensile.run import refit_tables
 
         writable_folder(command.output)
-        refit_tables(model, command.measurements, command.output, command.held_out, command.add)
+        with unfinished(command.output / UNFINISHED) as folder:
+            kept = Kept(folder, command.effect_file)
+            refit_tables(model, command.measurements, command.output, command.held_out, command.add, kept)
         return
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")

@@ -125,13 +125,13 @@ class Garment:
         )
 
 
-def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write a compressed npz by way of a temporary file beside it, so that a reader never sees half a file."""
+def write_npz(path: Path, arrays: Mapping[str, np.ndarray], compressed: bool = True) -> None:
+    """Write an npz by way of a temporary file beside it, so that a reader never sees half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, partial = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".partial")
     try:
         with os.fdopen(handle, "wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **arrays)
+            (np.savez_compressed if compressed else np.savez)(stream, allow_pickle=False, **arrays)
         os.chmod(partial, 0o644)
         os.replace(partial, path)
     except BaseException:

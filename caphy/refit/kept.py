@@ -38,7 +38,7 @@ class Kept:
     def keep(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
         """Write arrays by that name, at once or not at all."""
         if self.folder is not None:
-            write_npz(self.folder / f"{key}.npz", arrays)
+            write_npz(self.folder / f"{key}.npz", arrays, compressed=False)  # what was computed hardly shrinks
 
 
 def digest(*values: object) -> str:

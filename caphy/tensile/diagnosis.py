@@ -10,6 +10,7 @@ import numpy as np
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve
+from caphy.refit.kept import Kept
 from caphy.tensile.between import between_loadings, contrasts, learned
 from caphy.tensile.candidates import HISTORY, Candidates, candidates
 from caphy.tensile.coefficients import Coefficient, coefficients
@@ -88,6 +89,7 @@ def diagnose_curves(
     curves: Sequence[ForceCurve],
     held_out: Sequence[ForceCurve] = (),
     say: Say | None = None,
+    kept: Kept | None = None,
 ) -> CurveDiagnosis:
     """Compare a model with tensile tests and name what it lacks.
 
@@ -96,13 +98,14 @@ def diagnose_curves(
         curves: loadings to learn from: of one or several fabrics, each fitted with numbers of its own.
         held_out: loadings or fabrics that are only foretold; else each loading is left out in turn.
         say: told of each fit that is about to be made.
+        kept: where fits are kept, and found again.
 
     Raises:
         CaphyError: the curves are not what tensile tests give, or the model has nothing that acts in them.
     """
     learning, held, cautions = split(curves, held_out)
     seen = candidates(model)
-    search = replace(started(model, learning, seen), say=say)
+    search = replace(started(model, learning, seen, kept), say=say)
     order, fabrics = [name for name in seen.added if name not in HISTORY], list(learning)
     names, ranking = search.chosen(order, fabrics)
     between = between_loadings(search.fits(numbers_of(names)), seen.added)
@@ -113,15 +116,16 @@ def diagnose_curves(
     return answer(search, seen, names, used, learning, held, cautions, (*ranking, *between), order)
 
 
-def started(model: Model, fabrics: Fabrics, seen: Candidates) -> Search:
+def started(model: Model, fabrics: Fabrics, seen: Candidates, kept: Kept | None = None) -> Search:
     """A search over fabrics; raises :class:`CaphyError` where the model has no elasticity in its plane."""
+    kept = kept or Kept()
     elastic = [name for name in model.effects if name in seen.acting]
     if not elastic:
         raise CaphyError(
             f"the model has no effect that resists stretch (it has {', '.join(model.effects)}); add strain_stvk or "
             "strain_measured"
         )
-    benches = {fabric: Bench.of(model, tests, seen.acting) for fabric, tests in fabrics.items()}
+    benches = {fabric: Bench.of(model, tests, seen.acting, kept) for fabric, tests in fabrics.items()}
     return Search(benches, own(model, elastic))
 
 
@@ -262,7 +266,7 @@ def _fabric_errors(
     some, rows = next(iter(fits.values())).bench, {}
     for fabric in strangers or (fits if len(fits) >= _FABRICS else {}):
         others = [f for f in fits if f != fabric]
-        bench = Bench.of(some.model, strangers[fabric], some.acting) if strangers else search.benches[fabric]
+        bench = Bench.of(some.model, strangers[fabric], some.acting, some.kept) if strangers else search.benches[fabric]
         bench = replace(bench, model=next(iter(stages["as given"].values())).bench.model)
         names = list(found) if strangers else search.chosen(order, others)[0]
         used = [fits[f].bench.held for f in others]

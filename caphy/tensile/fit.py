@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from caphy.effects.model import Model
+from caphy.refit.kept import Kept
 from caphy.tensile.candidates import HISTORY
 from caphy.tensile.loadings import Tests
 from caphy.tensile.numbers import Number, changed
@@ -30,6 +31,7 @@ class Bench:
         model: the user's model.
         acting: names of effects that act in tensile tests.
         held: numbers that are known from elsewhere, with their values.
+        kept: where fits are kept until all is done.
     """
 
     model: Model
@@ -37,10 +39,12 @@ class Bench:
     acting: frozenset[str]
     strips: dict[str, Strip]
     held: tuple[tuple[Number, float], ...] = ()
+    kept: Kept = field(default_factory=Kept)
 
     @classmethod
-    def of(cls, model: Model, tests: list[Tests], acting: frozenset[str]) -> Bench:
-        return cls(model, tests, acting, {test.direction: Strip(test.axial, test.direction) for test in tests})
+    def of(cls, model: Model, tests: list[Tests], acting: frozenset[str], kept: Kept) -> Bench:
+        strips = {test.direction: Strip(test.axial, test.direction) for test in tests}
+        return cls(model, tests, acting, strips, kept=kept)
 
     @property
     def count(self) -> int:
@@ -161,6 +165,9 @@ def fitted(bench: Bench, numbers: Sequence[Number], start: np.ndarray | None = N
     """Least squares over all loadings by Levenberg and Marquardt's method, within the bounds of the numbers."""
     numbers = tuple(numbers)
     values = np.array([n.start(bench.model) for n in numbers]) if start is None else np.array(start, float)
+    key = bench.kept.key("fit", bench.model, bench.tests, bench.acting, bench.held, numbers, values)
+    if (known := bench.kept.recall(key)) is not None:
+        return Fit(bench, numbers, **known)
     bounds = np.array([number.bounds for number in numbers]).reshape(-1, 2)
     residual, damping = bench.residual(bench.curves(numbers, values)), 1e-3
     slopes = bench.slopes(numbers, values)
@@ -184,4 +191,5 @@ def fitted(bench: Bench, numbers: Sequence[Number], start: np.ndarray | None = N
         slopes = bench.slopes(numbers, values)
         if old - (residual**2).sum() < _GAIN * old:
             break
+    bench.kept.keep(key, {"values": values, "residual": residual, "slopes": slopes})
     return Fit(bench, numbers, values, residual, slopes)

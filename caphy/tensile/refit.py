@@ -9,6 +9,7 @@ from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve
+from caphy.refit.kept import Kept
 from caphy.tensile.between import between_loadings
 from caphy.tensile.candidates import HISTORY, Candidates, candidates
 from caphy.tensile.diagnosis import CurveDiagnosis, answer, split, started
@@ -46,6 +47,7 @@ def refit_curves(
     curves: Sequence[ForceCurve],
     held_out: Sequence[ForceCurve] = (),
     add: Sequence[str] = (),
+    kept: Kept | None = None,
 ) -> CurveRefit:
     """Fit the model's own numbers and those of added effects to tensile tests, for each fabric by itself.
 
@@ -55,16 +57,16 @@ def refit_curves(
     learning, held, cautions = split(curves, held_out)
     seen = candidates(model)
     _check(add, seen, model)
-    search = started(model, learning, seen)
+    search = started(model, learning, seen, kept)
     names = [name for name in add if name not in HISTORY]
     history = [name for name in add if name in HISTORY]
-    kept = search.without_useless(names, list(learning))
+    needed = search.without_useless(names, list(learning))
     refused = {
         name: f"{name} is not kept: without it loadings that were left out are met as well."
         for name in names
-        if name not in kept
+        if name not in needed
     }
-    names = kept
+    names = needed
     accepted = {row.effect for row in between_loadings(search.fits(numbers_of(names)), history) if row.accepted}
     for name in history:
         if name not in accepted:

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from caphy.effects.model import Model
 from caphy.io.measurements import ForceCurve, read_force_curves
+from caphy.refit.kept import Kept
 from caphy.tensile.diagnosis import CurveDiagnosis, diagnose_curves
 from caphy.tensile.refit import CurveRefit, refit_curves
 from caphy.tensile.report import write
 
 
 def diagnose_tables(
-    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path] = ()
+    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], kept: Kept
 ) -> CurveDiagnosis:
     """Diagnose a model from tables of force curves; raises :class:`caphy.errors.CaphyError`."""
     from tqdm import tqdm
@@ -24,16 +25,16 @@ def diagnose_tables(
             bar.update()
             bar.set_postfix_str(what)
 
-        answer = diagnose_curves(model, _curves(tables), _curves(held_out), say)
+        answer = diagnose_curves(model, _curves(tables), _curves(held_out), say, kept)
     _finish(answer, output, tables)
     return answer
 
 
 def refit_tables(
-    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path] = (), add: Sequence[str] = ()
+    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], add: Sequence[str], kept: Kept
 ) -> None:
     """Refit a model with effects added to tables of force curves; raises :class:`caphy.errors.CaphyError`."""
-    _finish(refit_curves(model, _curves(tables), _curves(held_out), add), output, tables)
+    _finish(refit_curves(model, _curves(tables), _curves(held_out), add, kept), output, tables)
 
 
 def _curves(tables: Sequence[Path]) -> list[ForceCurve]:

@@ -12,8 +12,10 @@ from caphy.cli import main
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve, read_force_curves
+from caphy.refit.kept import Kept
 from caphy.tensile import diagnose_curves, refit_curves
 from caphy.tensile.report import write
+from caphy.tensile.strip import Strip
 
 LAMBDA, MU, TOP = 20.0, 15.0, 0.25
 
@@ -51,6 +53,38 @@ def test_a_stiffening_is_found_and_recovered():
     assert found.interval[0] <= 1500 <= found.interval[1] and found.unit == "N/m"
     assert answer.summary["relative"]["with effects"] < 0.2 * answer.summary["relative"]["parameters"]
     assert answer.complete
+
+
+def test_what_was_fitted_before_it_was_stopped_is_not_fitted_again(tmp_path, monkeypatch):
+    curves, kept = measured(isotropic(fourth=1500.0), TOP, 1), Kept(tmp_path / "kept")
+    asked: list[int] = []
+    curve = Strip.curve
+    monkeypatch.setattr(Strip, "curve", lambda self, *of: asked.append(len(asked)) or curve(self, *of))
+
+    def run(kept: Kept, fits: float = np.inf) -> tuple[list[object], int]:
+        """What is told, and how often a strip was asked; stopped after a number of fits."""
+        asked.clear()
+        made: list[str] = []
+
+        def say(what: str) -> None:
+            made.append(what)
+            if len(made) > fits:
+                raise KeyboardInterrupt
+
+        answer = diagnose_curves(model(), curves, say=say, kept=kept)
+        return [answer.sentences, *(c.value for c in answer.coefficients)], len(asked)
+
+    told, cost = run(Kept())
+    with pytest.raises(KeyboardInterrupt):
+        run(kept, 2)
+    before = set(kept.folder.iterdir())
+    again, less = run(kept)
+    assert again == told and less < cost
+    after = set(kept.folder.iterdir())
+    assert before and before < after
+    assert (run(kept)[0], set(kept.folder.iterdir())) == (told, after)
+    diagnose_curves(model(lame_mu=2 * MU), curves, kept=kept)
+    assert set(kept.folder.iterdir()) > after
 
 
 def test_directions_that_differ_are_found_and_their_difference_recovered():
