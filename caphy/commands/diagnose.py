@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-import shutil
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,16 +13,13 @@ import tyro
 
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text, load_model
+from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
 if TYPE_CHECKING:
     from caphy.diagnose.diagnosis import Diagnosis
     from caphy.effects.model import Model
-
-
-UNFINISHED = "unfinished"
-"""Where work that was stopped lies; beside a file of that name and this ending."""
 
 
 @dataclass(frozen=True)
@@ -69,20 +63,6 @@ def main(arguments: list[str]) -> None:
         write(diagnosis, command)
         if command.held_out and diagnosis.verdict in ("named", "parameters"):
             _before_after(model, diagnosis.model, command)
-
-
-@contextmanager
-def unfinished(folder: Path) -> Iterator[Path]:
-    """A folder for what hours of work found; it goes when they end well, and the same command goes on from it else."""
-    if folder.is_dir():
-        print(f"going on from what an earlier run left in {folder}")
-    try:
-        yield folder
-    except KeyboardInterrupt:
-        if folder.is_dir():
-            print(f"\nstopped; the same command goes on from {folder}", file=sys.stderr)
-        raise
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
@@ -187,7 +167,7 @@ def _page(diagnosis: Diagnosis, told: dict, command: Diagnose) -> str:
 
 
 def _diagnose_curves(command: Diagnose, model: Model) -> None:
-    from caphy.refit.kept import Kept
+    from caphy.kept import Kept
     from caphy.tensile.run import diagnose_tables
 
     with unfinished(command.output / UNFINISHED) as folder:

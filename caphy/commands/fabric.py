@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
+from caphy.kept import Kept
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
@@ -58,6 +60,11 @@ def main(arguments: list[str]) -> int:
     """Run ``caphy fabric`` with the arguments after it; 1 where a garment was left out."""
     options = tyro.cli(FabricCommand, args=arguments, prog="caphy fabric")
     _check(options)
+    with unfinished(options.run / f"fabric.{UNFINISHED}") as kept:
+        return _fitted(options, Kept(kept))
+
+
+def _fitted(options: FabricCommand, kept: Kept) -> int:
     from caphy.evaluate.dressed import Subject
     from caphy.register.points import read_points
     from caphy.register.result import write_text
@@ -71,7 +78,7 @@ def main(arguments: list[str]) -> int:
         if kind not in subject.garments:
             continue
         try:
-            found, model, start = _fit(options, base, subject, points, kind)
+            found, model, start = _fit(options, base, subject, points, kind, kept)
         except CaphyError as error:
             print(f"without {kind}: {error}")
             document["failed"][kind] = str(error)
@@ -131,7 +138,7 @@ def _start(options: FabricCommand, model: Model, kind: str) -> Model:
 
 
 def _fit(
-    options: FabricCommand, base: Model, subject: Subject, points: Any, kind: str
+    options: FabricCommand, base: Model, subject: Subject, points: Any, kind: str, kept: Kept
 ) -> tuple[dict[str, Any], Model, Model]:
     from caphy.fabric.certainty import Certainty
     from caphy.fabric.record import record, settled_model
@@ -145,11 +152,11 @@ def _fit(
             print(f"{kind}: round {number + 1} of at most {options.rounds}, scan {done} of {total}", flush=True)
 
     guess = _network(options.run / TRAINED, subject, kind)
-    fitted = fit_fabric(worn, start, options.rounds, objective, guess, say, options.mesh_corrections)
+    fitted = fit_fabric(worn, start, options.rounds, objective, guess, say, options.mesh_corrections, kept)
     for number in range(options.alternations):
         model = settled_model(fitted, Certainty.of(fitted), "fabric fitted to scans")
         guess = _trained_on(options, subject, kind, model, number)
-        after = fit_fabric(worn, model, options.rounds, objective, guess, say, options.mesh_corrections)
+        after = fit_fabric(worn, model, options.rounds, objective, guess, say, options.mesh_corrections, kept)
         fitted = _again(fitted, after)
     sure = Certainty.of(fitted)
     model = settled_model(fitted, sure, "fabric fitted to scans at rest", tuple(one.still.name for one in worn))

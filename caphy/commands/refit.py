@@ -10,7 +10,8 @@ import tyro
 
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text
-from caphy.commands.diagnose import UNFINISHED, physics_model, unfinished
+from caphy.commands.diagnose import physics_model
+from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder
 
@@ -50,7 +51,7 @@ def main(arguments: list[str]) -> None:
         raise CaphyError("give at least one measurement")
     model = physics_model(command.model, command.effect_file)
     if all(path.suffix == ".csv" for path in command.measurements):
-        from caphy.refit.kept import Kept
+        from caphy.kept import Kept
         from caphy.tensile.run import refit_tables
 
         writable_folder(command.output)

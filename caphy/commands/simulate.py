@@ -9,8 +9,10 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file
+from caphy.kept import Kept
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,11 @@ def main(arguments: list[str]) -> None:
             writable_file(path).parent.mkdir(parents=True, exist_ok=True)
     if command.fabric is not None and command.model is not None:
         raise CaphyError("--fabric and --model exclude each other; give one of them")
-    _simulate(command)
+    with unfinished(command.out.with_suffix(f".{UNFINISHED}")) as kept:
+        _simulate(command, Kept(kept))
 
 
-def _simulate(command: Simulate) -> None:
+def _simulate(command: Simulate, kept: Kept) -> None:
     from tqdm import tqdm
 
     from caphy.commands.body import load_body
@@ -81,6 +84,7 @@ def _simulate(command: Simulate) -> None:
             integrator=find_integrator(command.integrator),
             substeps=command.substeps,
             progress=lambda done, total: _show(bar, done),
+            kept=kept,
         )
     trajectory.save(command.out)
     _report(command, trajectory, motion)

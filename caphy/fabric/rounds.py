@@ -17,6 +17,7 @@ from caphy.fabric.evidence import Said, by_force, by_response, of_the_mesh
 from caphy.fabric.states import Layer, Lying
 from caphy.fabric.stills import Worn
 from caphy.garment.subdivision import Subdivision
+from caphy.kept import Kept
 
 Objective = Literal["response", "force"]
 """Which least squares: the change of the equilibrium (the default), or CaPhy's squared gradient."""
@@ -121,6 +122,7 @@ def fit_fabric(
     guess: Guess | None = None,
     progress: Progress | None = None,
     corrections: int = CORRECTIONS,
+    kept: Kept | None = None,
 ) -> Fitted:
     """The fabric of a garment from scans of it at rest; the model's density and all else in it is kept.
 
@@ -131,12 +133,13 @@ def fit_fabric(
         guess: where to look for the cloth first; the skinned template unless given. It is followed from there.
         corrections: times that the error of the mesh is told, where rounds settle or at equal shares of them; of the
             response only.
+        kept: where cloth at rest is kept, and found again.
 
     Raises:
         CaphyError: fewer than :data:`FEWEST` scans can be used, or the model has no fabric.
     """
     numbers = Coefficients.of(model)
-    scans = _Scans(tuple(worn), numbers, objective, guess, progress)
+    scans = _Scans(tuple(worn), numbers, objective, guess, progress, kept)
     values, history = numbers.values, []
     left = corrections if objective == "response" else 0
     settled, change = False, {}
@@ -174,9 +177,10 @@ class _Scans:
 
     def __init__(
         self, worn: tuple[Worn, ...], numbers: Coefficients, objective: Objective, guess: Guess | None,
-        progress: Progress | None,
+        progress: Progress | None, kept: Kept | None = None,
     ) -> None:  # fmt: skip
         self.worn, self.numbers, self.objective, self.guess, self.progress = worn, numbers, objective, guess, progress
+        self.kept = kept
         self.left_out: dict[str, str] = {}
         self.mesh: dict[str, np.ndarray] = {}  # what a finer mesh would change, by scan
         self._lying: dict[str, Lying] = {}
@@ -186,7 +190,8 @@ class _Scans:
         said: list[Said] = []
         self._restless: dict[str, str] = {}
         if self.worn:
-            layer = Layer(self.numbers.model(values), Cloth.of(self.worn[0].garment, self.numbers.start.density))
+            cloth = Cloth.of(self.worn[0].garment, self.numbers.start.density)
+            layer = Layer(self.numbers.model(values), cloth, self.kept)
             for done, one in enumerate(self.worn):
                 if one.still.name not in self.left_out:
                     said += self._told(layer, one, values)
@@ -236,8 +241,8 @@ class _Scans:
         finer = Subdivision.of(self.worn[0].garment)
         density = self.numbers.start.density
         model = self.numbers.model(values)
-        coarse = Layer(model, Cloth.of(self.worn[0].garment, density))
-        fine = Layer(model, Cloth.of(finer.garment, density))
+        coarse = Layer(model, Cloth.of(self.worn[0].garment, density), self.kept)
+        fine = Layer(model, Cloth.of(finer.garment, density), self.kept)
         for one in self.worn:
             name = one.still.name
             if name in self.left_out or name not in self._lying:

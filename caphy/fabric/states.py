@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.fabric.attraction import AttractedPotential, Hits, find_hits
 from caphy.fabric.stills import Worn
+from caphy.kept import Kept
 from caphy.solve.newton import Newton, Report
 
 Stage = tuple[float, float]
@@ -61,7 +62,9 @@ class Lying:
 class Layer:
     """One garment's solver under one model, for all of its scans."""
 
-    def __init__(self, model: Model, cloth: Cloth) -> None:
+    def __init__(self, model: Model, cloth: Cloth, kept: Kept | None = None) -> None:
+        """``kept``: where cloth at rest is kept, and found again."""
+        self._kept = Kept() if kept is None else kept
         self.potential = AttractedPotential(model, cloth)
         self.cloth = self.potential.cloth
         self.newton = Newton(self.potential, max_iterations=_RESTING)
@@ -76,6 +79,10 @@ class Layer:
         Raises:
             CaphyError: too few of the scan's points lie near the garment.
         """
+        key = self._kept.key("lie", self.potential.model, worn, guess, seek, rest)
+        if (found := self._kept.recall(key)) is not None:
+            report = Report(*(found[each.name].item() for each in fields(Report)))
+            return self._let_lie(worn, found["x"], found["drawn"], report, rest[-1])
         x = torch.from_numpy(np.array(guess, dtype=float))
         if not seek:
             x, _ = self._pulled(worn, x, STRONG, self.newton)
@@ -88,9 +95,14 @@ class Layer:
             if report.residual <= RESTED:
                 break
             x, report = self._pulled(worn, x, rest[-1], self.newton)
-        hits = self._find(worn, x, rest[-1][0])
-        self.potential.aim(hits, rest[-1][1])
-        return Lying(x.numpy(), drawn, hits, report)
+        told = {each.name: np.array(getattr(report, each.name)) for each in fields(Report)}
+        self._kept.keep(key, {"x": x.numpy(), "drawn": drawn} | told)
+        return self._let_lie(worn, x.numpy(), drawn, report, rest[-1])
+
+    def _let_lie(self, worn: Worn, x: np.ndarray, drawn: np.ndarray, report: Report, last: Stage) -> Lying:
+        hits = self._find(worn, torch.from_numpy(x), last[0])
+        self.potential.aim(hits, last[1])
+        return Lying(x, drawn, hits, report)
 
     def _pulled(
         self, worn: Worn, x: torch.Tensor, stage: Stage, newton: Newton, damping: float = 0.0

@@ -18,11 +18,11 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
+from caphy.kept import Kept
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered, registered_as
 from caphy.processes import cores, end_at_ctrl_c, one_thread_each
 from caphy.refit.columns import Column
-from caphy.refit.kept import Kept
 from caphy.refit.responses import ARRAYS, Response, Watched, watched
 from caphy.refit.tangents import Pushes
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from caphy.effects.base import Step
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
 from caphy.garment.template import write_npz
+from caphy.kept import Kept
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import SDIRK2, Integrator, State
 from caphy.solve.newton import Body, Newton, Report
@@ -21,6 +22,8 @@ from caphy.solve.newton import Body, Newton, Report
 _GRIPS, _GRIPPED = 4, 1e-5
 """How often friction is told anew of the push that a step ends with, at most, and the change [m] below which it is that
 one. Of 6,880 minima of cloth on pins with a ball 6,871 came so near, seven others within 0.11 mm."""
+AT_ONCE = 20
+"""Frames that are kept together, and lost together where a simulation is stopped."""
 _SHRINKS = 0.9
 """Where a change is no smaller than this share of the one before it, a vertex is handed to and fro, as between arm and
 trunk, and would be for ever (two of those 6,880, by 3 and 7 mm)."""
@@ -146,6 +149,7 @@ def simulate(
     substeps: int = 1,
     tolerance: float | None = None,
     progress: Callable[[int, int], None] | None = None,
+    kept: Kept | None = None,
 ) -> Trajectory:
     """Simulate a garment through all frames of a motion.
 
@@ -157,24 +161,65 @@ def simulate(
         substeps: steps per frame.
         tolerance: of the solver [N].
         progress: told the number of frames done and in total.
+        kept: where every :data:`AT_ONCE` frames are kept, and found again by who simulates the same.
 
     Raises:
         CaphyError: the start or the garment does not fit, or its energy is not finite.
     """
-    from caphy.solve.preroll import start_state
-
     newton = Newton(potential) if tolerance is None else Newton(potential, tolerance=tolerance)
-    state = start_state(newton, motion) if start is None else start
+    kept = Kept() if kept is None else kept
+    world = kept.key(potential.model, potential.cloth, motion.body, motion.betas, motion.garment, motion.poses)
+    state = _started(kept, world, newton, motion) if start is None else start
     if state.x.shape != potential.cloth.vertices.shape:
         raise CaphyError(f"the start must have positions {potential.cloth.vertices.shape}, got {tuple(state.x.shape)}")
     simulator = Simulator(newton, motion, integrator)
+    how = world, type(simulator.integrator).__name__, substeps, newton.tolerance
     states, reports = [state], []
-    for frame in range(1, len(motion)):
-        state, report = simulator.advance(State((frame - 1) / motion.fps, state.x, state.v), 1 / motion.fps, substeps)
-        states.append(state)
-        reports.append(report)
+    for first in range(1, len(motion), AT_ONCE):
+        frames = range(first, min(first + AT_ONCE, len(motion)))
+        key = kept.key("frames", how, first, len(frames), states[-1].x.numpy(), states[-1].v.numpy())
+        if (found := kept.recall(key)) is not None:
+            states += _states(found, frames, motion.fps)
+            reports += _reports(found)
+        else:
+            for frame in frames:
+                last = State((frame - 1) / motion.fps, states[-1].x, states[-1].v)
+                state, report = simulator.advance(last, 1 / motion.fps, substeps)
+                states.append(state)
+                reports.append(report)
+                if progress is not None:
+                    progress(frame + 1, len(motion))
+            kept.keep(key, _arrays(states[first:], reports[first - 1 :]))
         if progress is not None:
-            progress(frame + 1, len(motion))
+            progress(frames.stop, len(motion))
     positions = torch.stack([state.x for state in states]).numpy()
     velocities = torch.stack([state.v for state in states]).numpy()
     return Trajectory(positions, velocities, motion.fps, tuple(reports))
+
+
+def _started(kept: Kept, world: str, newton: Newton, motion: BodyMotion) -> State:
+    """The start of a motion, as :func:`caphy.solve.preroll.start_state` makes it."""
+    from caphy.solve.preroll import start_state
+
+    key = kept.key("start", world, newton.tolerance)
+    if (found := kept.recall(key)) is not None:
+        return State(0.0, torch.from_numpy(found["x"]), torch.from_numpy(found["v"]))
+    state = start_state(newton, motion)
+    kept.keep(key, {"x": state.x.numpy(), "v": state.v.numpy()})
+    return state
+
+
+def _arrays(states: Sequence[State], reports: Sequence[Sequence[Report]]) -> dict[str, np.ndarray]:
+    """States (F) and reports (F, S), by name."""
+    said = {each.name: np.array([[getattr(r, each.name) for r in one] for one in reports]) for each in fields(Report)}
+    return {"x": np.stack([s.x.numpy() for s in states]), "v": np.stack([s.v.numpy() for s in states])} | said
+
+
+def _states(arrays: dict[str, np.ndarray], frames: range, fps: float) -> list[State]:
+    x, v = (torch.from_numpy(arrays[name]) for name in "xv")
+    return [State(frame / fps, *at) for frame, *at in zip(frames, x, v, strict=True)]
+
+
+def _reports(arrays: dict[str, np.ndarray]) -> list[tuple[Report, ...]]:
+    told = zip(*(arrays[each.name].tolist() for each in fields(Report)), strict=True)
+    return [tuple(Report(*one) for one in zip(*frame, strict=True)) for frame in told]

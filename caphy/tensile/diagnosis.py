@@ -10,7 +10,7 @@ import numpy as np
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve
-from caphy.refit.kept import Kept
+from caphy.kept import Kept
 from caphy.tensile.between import between_loadings, contrasts, learned
 from caphy.tensile.candidates import HISTORY, Candidates, candidates
 from caphy.tensile.coefficients import Coefficient, coefficients

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from caphy.effects.model import Model
-from caphy.refit.kept import Kept
+from caphy.kept import Kept
 from caphy.tensile.candidates import HISTORY
 from caphy.tensile.loadings import Tests
 from caphy.tensile.numbers import Number, changed

@@ -9,7 +9,7 @@ from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve
-from caphy.refit.kept import Kept
+from caphy.kept import Kept
 from caphy.tensile.between import between_loadings
 from caphy.tensile.candidates import HISTORY, Candidates, candidates
 from caphy.tensile.diagnosis import CurveDiagnosis, answer, split, started

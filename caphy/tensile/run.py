@@ -7,7 +7,7 @@ from pathlib import Path
 
 from caphy.effects.model import Model
 from caphy.io.measurements import ForceCurve, read_force_curves
-from caphy.refit.kept import Kept
+from caphy.kept import Kept
 from caphy.tensile.diagnosis import CurveDiagnosis, diagnose_curves
 from caphy.tensile.refit import CurveRefit, refit_curves
 from caphy.tensile.report import write

@@ -22,6 +22,8 @@ from caphy.fabric.rounds import Fitted, Round, _Scans, fit_fabric, ratios
 from caphy.fabric.states import WEAK, Layer
 from caphy.fabric.stills import Worn
 from caphy.garment.subdivision import Subdivision
+from caphy.kept import Kept
+from caphy.solve.newton import Newton
 
 SIDE = 7
 PLANTED = fabric_model("white-swim-solid")
@@ -68,6 +70,33 @@ def test_energies_are_those_of_the_effects():
         if name in numbers.names:
             mine = numbers.group == numbers.names.index(name)
             assert energy[mine] @ numbers.values[mine] == pytest.approx(float(total), rel=1e-6)
+
+
+def test_a_fit_that_is_stopped_goes_on_where_it_was(scans, tmp_path, monkeypatch):
+    """A mesh's correction included; where cloth comes to rest is not sought a second time."""
+    kept, sought = Kept(tmp_path), []
+    minimise = Newton.minimise
+    monkeypatch.setattr(Newton, "minimise", lambda *of, **more: sought.append(1) or minimise(*of, **more))
+
+    def fit(kept: Kept | None, last: tuple[int, int] = (9, 9)) -> tuple[Fitted, int]:
+        def stop(number: int, done: int, total: int) -> None:
+            if (number, done) > last:
+                raise KeyboardInterrupt
+
+        sought.clear()
+        found = fit_fabric(scans[:5], PLANTED, rounds=3, progress=stop, corrections=1, kept=kept)
+        return found, len(sought)
+
+    whole, cost = fit(None)
+    with pytest.raises(KeyboardInterrupt):
+        fit(kept, (1, 2))
+    assert any(one.corrected for one in whole.rounds)
+    again, rest = fit(kept)
+    np.testing.assert_array_equal(again.values, whole.values)
+    assert 0 < rest < 0.7 * cost
+    once_more, none = fit(kept)
+    np.testing.assert_array_equal(once_more.values, whole.values)
+    assert none == 0
 
 
 def test_the_response_is_the_change_of_the_equilibrium(scans):

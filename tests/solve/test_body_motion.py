@@ -1,5 +1,7 @@
 """The moving body as cloth sees it, and cloth resting on it."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
@@ -9,10 +11,11 @@ from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
+from caphy.kept import Kept
 from caphy.solve.body_motion import BodyMotion, state_on_faces
 from caphy.solve.newton import Newton
 from caphy.solve.preroll import preroll_poses
-from caphy.solve.rollout import State, simulate
+from caphy.solve.rollout import AT_ONCE, State, simulate
 from caphy.solve.statics import drape_on_body
 
 DENSITY = 0.2
@@ -147,6 +150,34 @@ def test_trajectory_file(box_body, mat, tmp_path):
     with np.load(tmp_path / "out.npz", allow_pickle=False) as file:
         np.testing.assert_allclose(file["positions"], trajectory.positions, atol=1e-6)
         assert file["converged"].all() and file["fps"] == 30
+
+
+def test_a_simulation_that_is_stopped_goes_on_where_it_was(box_body, mat, tmp_path):
+    motion, frames = BodyMotion(box_body, sliding(turn=0.1, frames=2 * AT_ONCE + 9), mat), []
+    whole = simulate(potential_of(mat), motion)
+
+    def until(last: int) -> Callable[[int, int], None]:
+        def stop(done: int, total: int) -> None:
+            frames.append(done)
+            if done > last:
+                raise KeyboardInterrupt
+
+        return stop
+
+    kept = Kept(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        simulate(potential_of(mat), motion, progress=until(AT_ONCE + 5), kept=kept)
+    frames.clear()
+    again = simulate(potential_of(mat), motion, progress=until(1000), kept=kept)
+    assert frames[:2] == [AT_ONCE + 1, AT_ONCE + 2]
+    np.testing.assert_array_equal(again.positions, whole.positions)
+    np.testing.assert_array_equal(again.velocities, whole.velocities)
+    assert again.reports == whole.reports
+    frames.clear()
+    assert simulate(potential_of(mat), motion, progress=until(1000), kept=kept).reports == whole.reports
+    assert frames == [AT_ONCE + 1, 2 * AT_ONCE + 1, 2 * AT_ONCE + 9]
+    faster = BodyMotion(box_body, sliding(turn=0.2, frames=2 * AT_ONCE + 9), mat)
+    assert np.abs(simulate(potential_of(mat), faster, kept=kept).positions - whole.positions).max() > 1e-3
 
 
 def test_start_of_the_wrong_size_is_refused(box_body, mat):

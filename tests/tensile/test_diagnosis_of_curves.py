@@ -12,7 +12,7 @@ from caphy.cli import main
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve, read_force_curves
-from caphy.refit.kept import Kept
+from caphy.kept import Kept
 from caphy.tensile import diagnose_curves, refit_curves
 from caphy.tensile.report import write
 from caphy.tensile.strip import Strip
