@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
@@ -36,9 +37,10 @@ class Kept:
             return None
 
     def keep(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write arrays by that name, at once or not at all."""
+        """Write arrays by that name, at once or not at all: a full disk does not end the work, only what is kept."""
         if self.folder is not None:
-            write_npz(self.folder / f"{key}.npz", arrays, compressed=False)  # what was computed hardly shrinks
+            with suppress(OSError):
+                write_npz(self.folder / f"{key}.npz", arrays, compressed=False)  # what was computed hardly shrinks
 
 
 def digest(*values: object) -> str:
@@ -62,6 +64,7 @@ def _parts(value: object) -> Iterator[bytes]:
         yield f"{value.dtype.str} {value.shape}".encode()
         yield value.tobytes()
     elif isinstance(value, Mapping):
+        yield str(len(value)).encode()
         for key in sorted(value, key=repr):
             yield from _parts(key)
             yield from _parts(value[key])

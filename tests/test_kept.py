@@ -27,6 +27,7 @@ def test_a_digest_tells_every_content_from_every_other() -> None:
         None, 0, 1, 1.0, True, "1", b"1", (), (1,), [1], (1, 1), ((1,), 1), (1, (1,)), {"a": 1}, {"a": 2}, {"b": 1},
         {"a": 1, "b": 1}, frozenset({"a"}), frozenset({"a", "b"}), ones, ones.astype(np.float32), ones.reshape(2, 3),
         ones.reshape(3, 2), np.float64(1), Pair(1, 2), Pair(2, 1), Pair("ab", "c"), Pair("a", "bc"), Path("1"),
+        {"a": {"b": 1}, "c": 2}, {"a": {"b": 1, "c": 2}},
     ]  # fmt: skip
     assert len({digest(value) for value in told}) == len(told)
     assert digest({"a": 1, "b": 2}) == digest({"b": 2, "a": 1})
@@ -60,6 +61,9 @@ def test_half_a_file_and_another_effect_s_code_are_not_recalled(tmp_path: Path) 
     (file,) = (tmp_path / "kept").iterdir()
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     assert kept.recall(key) is None
+    full = Kept(effect)  # no folder can be made there, as on a full disk
+    full.keep("key", {"values": np.zeros(1)})
+    assert full.recall("key") is None
     nowhere = Kept()
     nowhere.keep("key", {"values": np.zeros(1)})
     assert nowhere.recall("key") is None
