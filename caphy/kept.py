@@ -19,12 +19,12 @@ class Kept:
     """A folder of arrays, each file named by a digest of all that they follow from; without one nothing is kept."""
 
     def __init__(self, folder: Path | None = None, effect_files: Sequence[Path] = ()) -> None:
-        """``effect_files``: the user's own effects, whose code counts."""
+        """``effect_files``: the user's own effects, whose code counts, and that of what lies beside them."""
         self.folder = folder
-        self._code = digest(caphy.__version__, [file.read_bytes() for file in effect_files])
+        self._code = "" if folder is None else digest(_sources(effect_files))
 
     def key(self, *of: object) -> str:
-        """The name of what follows from ``of``, this version of caphy and the user's effects."""
+        """The name of what follows from ``of``, caphy's own code and the user's effects."""
         return "" if self.folder is None else digest(self._code, *of)
 
     def recall(self, key: str) -> dict[str, np.ndarray] | None:
@@ -41,6 +41,15 @@ class Kept:
         if self.folder is not None:
             with suppress(OSError):
                 write_npz(self.folder / f"{key}.npz", arrays, compressed=False)  # what was computed hardly shrinks
+
+
+def _sources(effect_files: Sequence[Path]) -> list[bytes]:
+    """The code of caphy, and of the user's effects with whatever they may import from beside them."""
+    own = sorted(Path(caphy.__file__).parent.rglob("*.py"))
+    beside = [
+        file for folder in dict.fromkeys(f.resolve().parent for f in effect_files) for file in folder.glob("*.py")
+    ]
+    return [file.read_bytes() for file in (*own, *effect_files, *sorted(beside))]
 
 
 def digest(*values: object) -> str:

@@ -7,7 +7,9 @@ import signal
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.process import BaseProcess
+from threading import Thread
 
 MOST = 8
 """Processes at most; each holds its own copy of everything."""
@@ -47,5 +49,13 @@ def executor(size: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def end_at_ctrl_c() -> None:
-    """End this process at once when Ctrl-C tells it and its parent to end, where Python would finish what it can."""
+    """End this process at once when Ctrl-C tells it and its parent to end, where Python would finish what it can; and
+    when its parent is killed alone, after which it would wait for work for ever."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if (parent := parent_process()) is not None:
+        Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from caphy.commands.unfinished import unfinished
+from caphy.errors import CaphyError
 from caphy.kept import Kept, digest
 
 
@@ -58,6 +59,10 @@ def test_half_a_file_and_another_effect_s_code_are_not_recalled(tmp_path: Path) 
     np.testing.assert_array_equal(kept.recall(key)["values"], np.arange(1000.0))
     effect.write_text("other")
     assert Kept(tmp_path / "kept", [effect]).key("something", 1) != key
+    effect.write_text("one")
+    assert Kept(tmp_path / "kept", [effect]).key("something", 1) == key
+    (tmp_path / "helper.py").write_text("FACTOR = 2")
+    assert Kept(tmp_path / "kept", [effect]).key("something", 1) != key
     (file,) = (tmp_path / "kept").iterdir()
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     assert kept.recall(key) is None
@@ -73,6 +78,7 @@ def test_what_is_unfinished_stays_until_it_is_done(tmp_path: Path, capsys: pytes
     folder = tmp_path / "unfinished"
     with pytest.raises(KeyboardInterrupt), unfinished(folder) as kept:
         kept.mkdir()
+        Kept(kept).keep("0" * 64, {})
         raise KeyboardInterrupt
     assert f"stopped; the same command goes on from {folder}" in capsys.readouterr().err
     with pytest.raises(OSError, match="full"), unfinished(folder):
@@ -85,3 +91,8 @@ def test_what_is_unfinished_stays_until_it_is_done(tmp_path: Path, capsys: pytes
     with unfinished(folder):
         pass
     assert not capsys.readouterr().out
+    folder.mkdir()
+    (folder / "thesis.txt").write_text("mine")
+    with pytest.raises(CaphyError, match="holds 'thesis"), unfinished(folder):
+        pass
+    assert (folder / "thesis.txt").read_text() == "mine"

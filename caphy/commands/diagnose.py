@@ -55,6 +55,8 @@ def main(arguments: list[str]) -> None:
     tables = [path for path in command.measurements if path.suffix == ".csv"]
     if tables and len(tables) < len(command.measurements):
         raise CaphyError("give either measurements in motion or tables of tensile tests, not both at once")
+    if tables and command.base:
+        raise CaphyError("tables of tensile tests have no --base: parameters are fitted to all of their loadings")
     if tables:
         _diagnose_curves(command, model)
         return

@@ -54,6 +54,8 @@ def main(arguments: list[str]) -> None:
         from caphy.kept import Kept
         from caphy.tensile.run import refit_tables
 
+        if command.base:
+            raise CaphyError("tables of tensile tests have no --base: parameters are fitted to all of their loadings")
         writable_folder(command.output)
         with unfinished(command.output / UNFINISHED) as folder:
             kept = Kept(folder, command.effect_file)

@@ -31,6 +31,8 @@ class Simulate:
     """A measured fabric, as listed by 'caphy effects list --fabrics'. Without it: SNUG's cotton."""
     model: Path | None = None
     """A physics model as JSON, instead of a fabric."""
+    effect_file: tuple[Path, ...] = ()
+    """Python files with effects of your own that the model uses."""
     integrator: Literal["sdirk2", "implicit-euler"] = "sdirk2"
     """sdirk2 is second order; implicit-euler is what networks are trained with, and damps."""
     substeps: int = 1
@@ -56,7 +58,7 @@ def main(arguments: list[str]) -> None:
     if command.fabric is not None and command.model is not None:
         raise CaphyError("--fabric and --model exclude each other; give one of them")
     with unfinished(command.out.with_suffix(f".{UNFINISHED}")) as kept:
-        _simulate(command, Kept(kept))
+        _simulate(command, Kept(kept, command.effect_file))
 
 
 def _simulate(command: Simulate, kept: Kept) -> None:
@@ -108,7 +110,10 @@ def _garment(name: str):
 def _model(command: Simulate):
     from caphy.effects.model import Model
     from caphy.effects.presets import fabric_model, snug_model
+    from caphy.effects.registry import register_file
 
+    for file in command.effect_file:
+        register_file(file)
     if command.model is not None:
         return Model.load(command.model)
     return snug_model() if command.fabric is None else fabric_model(command.fabric)

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-import shutil
+import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from caphy.errors import CaphyError
 
 UNFINISHED = "unfinished"
 """Name of that folder in a folder of results; beside a file, the ending of its name."""
 
+_OURS = re.compile(r"[0-9a-f]{64}\.npz")
+"""How names begin of what :class:`caphy.kept.Kept` writes, and while it does."""
+
 
 @contextmanager
 def unfinished(folder: Path) -> Iterator[Path]:
-    """A folder for what hours of work found; it goes when they end well, and the same command goes on from it else."""
+    """A folder for what hours of work found; it goes when they end well, and the same command goes on from it else.
+
+    Raises :class:`CaphyError` where there is such a folder with something else in it.
+    """
     if folder.is_dir():
+        if foreign := sorted(path.name for path in folder.iterdir() if not _OURS.match(path.name)):
+            raise CaphyError(
+                f"{folder}: is where unfinished work is kept, and holds {foreign[0]!r}, which is not caphy's; move it "
+                "elsewhere, or choose another output"
+            )
         print(f"going on from what an earlier run left in {folder}")
     try:
         yield folder
@@ -23,4 +36,8 @@ def unfinished(folder: Path) -> Iterator[Path]:
         if folder.is_dir():
             print(f"\nstopped; the same command goes on from {folder}", file=sys.stderr)
         raise
-    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # not there, or somebody has put something into it meanwhile
+        for path in folder.iterdir():
+            if _OURS.match(path.name):
+                path.unlink()
+        folder.rmdir()

@@ -40,6 +40,11 @@ def require_one_cloth(**parts: Sequence[Measurement]) -> None:
     for number, (part, measurement) in enumerate(named):
         where = measurement.source or measurement.name
         for other, before in named[:number]:
+            if other == part and _same(measurement, before):
+                raise CaphyError(
+                    f"{where}: holds the same frames as {before.source or before.name}; one motion given twice is not "
+                    "twice the evidence: give it once"
+                )
             if other != part and _same(measurement, before):
                 raise CaphyError(
                     f"{where}: is the {part} measurement, and {before.source or before.name}, the {other} one, holds "

@@ -41,6 +41,11 @@ def test_other_cloth_is_told():
         require_one_cloth(diagnosed=[sheet(seed=1)], base=[replace(other, faces=other.faces[::-1])])
 
 
+def test_nothing_counts_twice():
+    with pytest.raises(CaphyError, match="sheet 1: holds the same frames as sheet 1; one motion given twice"):
+        require_one_cloth(diagnosed=[sheet(seed=1), sheet(seed=2), sheet(seed=1)])
+
+
 def test_nothing_proves_itself():
     with pytest.raises(CaphyError, match="is the held-out measurement, and sheet 1, the diagnosed one"):
         require_one_cloth(diagnosed=[sheet(seed=1)], base=[], held_out=[sheet(seed=1)])

@@ -275,3 +275,44 @@ def test_real_knits(shared_data):
 def test_tables_of_something_else_are_told(changes, message):
     with pytest.raises(CaphyError, match=message):
         bad(**changes)
+
+
+HEADER = "fabric,direction,loading,axial_strain,transverse_strain,force_per_width_N_per_m"
+ROWS = "\n".join(f"rib,weft,{{0}},{strain:.2f},nan,{20 * strain:.2f}" for strain in (0.0, 0.05, 0.1, 0.15))
+
+
+def test_a_table_that_excel_wrote_is_read_as_any_other(tmp_path):
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join([HEADER, ROWS.format("1"), ROWS.format("2.0")]), encoding="utf-8-sig")
+    assert [(c.fabric, c.loading) for c in read_force_curves(table)] == [("rib", 1), ("rib", 2)]
+
+
+@pytest.mark.parametrize("loading", ["0", "L1", "1.5", "nan", "inf"])
+def test_what_is_no_number_of_a_loading_is_told(tmp_path, loading):
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join([HEADER, ROWS.format("1"), ROWS.format(loading)]))
+    with pytest.raises(CaphyError, match=rf"table.csv: line 6: loading must be 1 .* got '{loading}'"):
+        read_force_curves(table)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# my test\n" + HEADER + "\n" + ROWS.format(1),
+        (HEADER + "\n" + ROWS.format(1)).replace(",", ";").replace(".", ","),
+        (HEADER + "\n" + ROWS.format(1)).replace(",", "\t"),
+    ],
+)
+def test_tables_parted_otherwise_are_told_how(tmp_path, text):
+    table = tmp_path / "table.csv"
+    table.write_text(text)
+    with pytest.raises(CaphyError, match="the first line names them; commas part columns, points decimals"):
+        read_force_curves(table)
+
+
+def test_tables_have_no_base(tmp_path, capsys):
+    table = tmp_path / "table.csv"
+    table.write_text(HEADER + "\n" + ROWS.format(1))
+    for words in (["diagnose", "snug"], ["refit", "snug"]):
+        assert main([*words, str(table), "--base", str(table), "-o", str(tmp_path / "out")]) == 2
+        assert "have no --base" in capsys.readouterr().err

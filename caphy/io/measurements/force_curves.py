@@ -82,7 +82,7 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
     """
     path = Path(path)
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:  # as Excel writes it
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError) as error:
         raise CaphyError(f"{path}: cannot be read: {error}") from error
@@ -93,15 +93,29 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
     missing = [name for name in COLUMNS if name not in rows[0] and name != "transverse_strain"]
     if missing:
         raise CaphyError(
-            f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got {', '.join(rows[0])}"
+            f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got "
+            f"{', '.join(map(str, rows[0]))}; the first line names them; commas part columns, points decimals"
         )
     curves = []
     for (fabric, direction, loading), part in _groups(rows, ("fabric", "direction", "loading")).items():
         columns = [_column(part, name, path) if name in rows[0] else np.full(len(part), np.nan) for name in COLUMNS]
         axial, transverse, force = columns
-        number = int(loading) if loading.isdigit() else 1
+        number = _loading(loading, path, part[0][0])
         curves.append(ForceCurve(fabric or path.stem, direction or "weft", number, axial, transverse, force, str(path)))
     return curves
+
+
+def _loading(text: str, path: Path, line: int) -> int:
+    """The number of a loading, 1 where none is given; tables may write it with decimals."""
+    try:
+        number = float(text or 1)
+    except ValueError:
+        number = 0.0
+    if not (number >= 1 and number.is_integer()):
+        raise CaphyError(
+            f"{path}: line {line}: loading must be 1 for the first loading of a strip, then 2, 3, ..., got {text!r}"
+        )
+    return int(number)
 
 
 def _knit_curves(rows: Sequence[Mapping[str, str]], path: Path) -> list[ForceCurve]:
