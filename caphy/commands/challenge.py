@@ -59,7 +59,7 @@ def new(command: New) -> None:
     from caphy.io.measurements import write_measurement
     from caphy.processes import cores
 
-    if command.noise < 0 or command.seed < 0:
+    if not 0 <= command.noise < float("inf") or command.seed < 0:
         raise CaphyError(f"seed and noise must not be negative, got {command.seed} and {command.noise}")
     if command.points is not None and command.points < 1:
         raise CaphyError(f"--points must be positive, got {command.points}")
@@ -113,9 +113,13 @@ def reveal(command: Reveal) -> None:
     if not told.exists():
         print(f"there is no diagnosis in {told.parent} to hold against it")
         return
-    diagnosis = json.loads(told.read_text(encoding="utf-8"))
-    print(f"diagnosis: {diagnosis['verdict']}" + (f", {', '.join(diagnosis['found'])}" if diagnosis["found"] else ""))
-    print("  " + verdict(answer, diagnosis))
+    try:
+        diagnosis = json.loads(told.read_text(encoding="utf-8"))
+        named = ", ".join([diagnosis["verdict"], *diagnosis["found"]])
+        judged = verdict(answer, diagnosis)
+    except (ValueError, KeyError, TypeError) as error:
+        raise CaphyError(f"{told}: is no diagnosis of such measurements; run 'caphy diagnose' again") from error
+    print(f"diagnosis: {named}\n  {judged}")
 
 
 def verdict(answer: dict, diagnosis: dict) -> str:

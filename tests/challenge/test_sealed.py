@@ -42,3 +42,20 @@ def test_a_missing_answer_says_how_to_make_one(tmp_path, capsys):
 )
 def test_verdicts(found, word):
     assert verdict(ANSWER, {"verdict": "named", "found": found}).startswith(word)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"verdict": "named"}', '{"verdict": "named", "found": [{"of": 1}]}'])
+def test_what_is_no_diagnosis_is_told(tmp_path, capsys, text):
+    (tmp_path / NAME).write_text(seal(ANSWER)[0])
+    (tmp_path / "diagnosis").mkdir()
+    (tmp_path / "diagnosis" / "diagnosis.json").write_text(text)
+    assert main(["challenge", "reveal", str(tmp_path)]) == 2
+    assert "is no diagnosis of such measurements; run 'caphy diagnose' again" in capsys.readouterr().err
+    (tmp_path / "diagnosis" / "diagnosis.json").write_text('{"verdict": "named", "found": ["pressure"]}')
+    assert main(["challenge", "reveal", str(tmp_path)]) == 0
+    assert "diagnosis: named, pressure\n  right" in capsys.readouterr().out
+
+
+def test_noise_must_be_a_number(tmp_path, capsys):
+    assert main(["challenge", "new", "--seed", "1", "--noise", "nan", "-o", str(tmp_path)]) == 2
+    assert "must not be negative, got 1 and nan" in capsys.readouterr().err
