@@ -49,7 +49,7 @@ def _sources(effect_files: Sequence[Path]) -> list[bytes]:
     beside = [
         file for folder in dict.fromkeys(f.resolve().parent for f in effect_files) for file in folder.glob("*.py")
     ]
-    return [file.read_bytes() for file in (*own, *effect_files, *sorted(beside))]
+    return [file.read_bytes() for file in (*own, *sorted(beside))]
 
 
 def digest(*values: object) -> str:

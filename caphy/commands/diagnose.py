@@ -55,9 +55,8 @@ def main(arguments: list[str]) -> None:
     tables = [path for path in command.measurements if path.suffix == ".csv"]
     if tables and len(tables) < len(command.measurements):
         raise CaphyError("give either measurements in motion or tables of tensile tests, not both at once")
-    if tables and command.base:
-        raise CaphyError("tables of tensile tests have no --base: parameters are fitted to all of their loadings")
     if tables:
+        require_no_base(command.base)
         _diagnose_curves(command, model)
         return
     with unfinished(command.output / UNFINISHED) as kept:
@@ -65,6 +64,12 @@ def main(arguments: list[str]) -> None:
         write(diagnosis, command)
         if command.held_out and diagnosis.verdict in ("named", "parameters"):
             _before_after(model, diagnosis.model, command)
+
+
+def require_no_base(base: tuple[Path, ...]) -> None:
+    """Raises :class:`CaphyError` where base measurements are given beside tables of tensile tests."""
+    if base:
+        raise CaphyError("tables of tensile tests have no --base: parameters are fitted to all of their loadings")
 
 
 def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:

@@ -10,7 +10,7 @@ import tyro
 
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, _write_text
-from caphy.commands.diagnose import physics_model
+from caphy.commands.diagnose import physics_model, require_no_base
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder
@@ -54,8 +54,7 @@ def main(arguments: list[str]) -> None:
         from caphy.kept import Kept
         from caphy.tensile.run import refit_tables
 
-        if command.base:
-            raise CaphyError("tables of tensile tests have no --base: parameters are fitted to all of their loadings")
+        require_no_base(command.base)
         writable_folder(command.output)
         with unfinished(command.output / UNFINISHED) as folder:
             kept = Kept(folder, command.effect_file)
