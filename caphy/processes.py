@@ -7,7 +7,7 @@ import signal
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
 from threading import Thread
 
@@ -19,18 +19,26 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 def cores() -> int:
     """Cores that this process may use, :data:`MOST` at most."""
-    return min(len(os.sched_getaffinity(0)), MOST)
+    ours = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1  # not on a Mac
+    return min(ours, MOST)
 
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
     """Processes begun here use one thread: libraries read that when they are imported, and threads of several
-    processes that wait for each other take four times as long."""
+    processes that wait for each other take four times as long.
+
+    Ctrl-C waits meanwhile, and in them until they have begun (:func:`end_at_ctrl_c`), amid whose imports it would
+    leave a traceback of each.
+    """
     before = {name: os.environ.pop(name, None) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
+    resource_tracker.ensure_running()  # it lets Ctrl-C through again, once
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name, value in before.items():
             del os.environ[name]
             if value is not None:
@@ -43,7 +51,9 @@ def executor(size: int) -> Iterator[ProcessPoolExecutor]:
     pool = ProcessPoolExecutor(size, get_context("spawn"), end_at_ctrl_c)
     try:
         with one_thread_each():
-            yield pool
+            for _ in range(size):
+                pool.submit(int)  # begins a process, as long as no other is idle
+        yield pool
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
@@ -51,7 +61,9 @@ def executor(size: int) -> Iterator[ProcessPoolExecutor]:
 def end_at_ctrl_c() -> None:
     """End this process at once when Ctrl-C tells it and its parent to end, where Python would finish what it can; and
     when its parent is killed alone, after which it would wait for work for ever."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background of a script
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     if (parent := parent_process()) is not None:
         Thread(target=_end_with, args=(parent,), daemon=True).start()
 

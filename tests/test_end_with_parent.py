@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 PARENT = """
 import os, sys, time
 from caphy.processes import executor
@@ -44,3 +46,27 @@ def test_a_parent_that_is_killed_leaves_nobody_behind(tmp_path: Path) -> None:
     finally:
         for pid in filter(_alive, workers):
             os.kill(pid, signal.SIGKILL)
+
+
+STOPPED = """
+import os, signal, sys, threading, time
+from caphy.refit.crew import Crew
+
+if __name__ == "__main__":
+    threading.Timer(float(sys.argv[1]), os.killpg, (os.getpgrp(), signal.SIGINT)).start()
+    try:
+        with Crew(size=2) as crew:
+            time.sleep(60)
+    except KeyboardInterrupt:
+        print("stopped")
+"""
+
+
+@pytest.mark.parametrize("after", [0.05, 0.5, 1.5])
+def test_ctrl_c_amid_their_beginning_leaves_no_traceback(tmp_path: Path, after: float) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(STOPPED)
+    ended = subprocess.run(
+        [sys.executable, str(script), str(after)], capture_output=True, text=True, start_new_session=True, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "stopped\n", "")

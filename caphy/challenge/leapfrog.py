@@ -20,7 +20,7 @@ from caphy.challenge.planes import ContactPlanes, MovingBody
 from caphy.challenge.rates import bending_rates, slowed
 from caphy.effects.base import BodyState, Effect, Step
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import KERNELS, Bound
+from caphy.effects.compiled import Bound, kernel_of
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
@@ -238,9 +238,10 @@ Loop = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 def _elastic_loops(potential: Potential) -> Iterator[Loop]:
     """The compiled effects of a potential that need neither history nor body, taken out of it."""
     for name, term in list(potential.terms.items()):
-        if type(term.effect) not in KERNELS or term.effect.needs_step or term.effect.needs_body:
+        bind = kernel_of(type(term.effect))
+        if bind is None or term.effect.needs_step or term.effect.needs_body:
             continue
-        kernel, _, given = KERNELS[type(term.effect)](Bound(term.index, term.rest, term.values, None, None))
+        kernel, _, given = bind(Bound(term.index, term.rest, term.values, None, None))
         constants = [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
         del potential.terms[name]
         yield lambda x, v, slope, kernel=kernel, constants=constants: kernel(

@@ -64,6 +64,11 @@ def new(command: New) -> None:
     if command.points is not None and command.points < 1:
         raise CaphyError(f"--points must be positive, got {command.points}")
     writable_folder(command.output)
+    if (command.output / "diagnosis").exists():
+        raise CaphyError(
+            f"{command.output / 'diagnosis'}: belongs to an earlier challenge, and 'caphy challenge reveal' would "
+            "judge it by this one; choose another folder, or remove it"
+        )
     names = sorted(name for name, hidden in HIDDEN.items() if hidden.acts_in(command.scene))
     hidden = HIDDEN[names[int(np.random.default_rng([command.seed, 7]).integers(len(names)))]]
     with Progress("simulating") as progress:

@@ -61,7 +61,7 @@ def main(arguments: list[str]) -> None:
         return
     with unfinished(command.output / UNFINISHED) as kept:
         diagnosis = _diagnosed(command, model, kept)
-        write(diagnosis, command)
+        write(diagnosis, command, model)
         if command.held_out and diagnosis.verdict in ("named", "parameters"):
             _before_after(model, diagnosis.model, command)
 
@@ -101,14 +101,14 @@ def _diagnosed(command: Diagnose, model: Model, kept: Path) -> Diagnosis:
         return diagnose(model, *read, garment=garment, body=body, progress=progress, crew=crew)
 
 
-def write(diagnosis: Diagnosis, command: Diagnose) -> None:
-    """Write the results and say them."""
+def write(diagnosis: Diagnosis, command: Diagnose, since: Model) -> None:
+    """Write the results and say them; ``since`` is the model that was diagnosed."""
     from caphy.diagnose.figures import figures, sentences, table
 
     command.output.mkdir(parents=True, exist_ok=True)
     told = figures(diagnosis)
     _write_text(command.output / "diagnosis.json", json.dumps(told, indent=1, allow_nan=False))
-    _write_text(command.output / "model.json", diagnosis.model.to_json())
+    _write_text(command.output / "model.json", _with_history(diagnosis, since, command).to_json())
     print("\n" + table(diagnosis) + "\n")
     print("\n".join(sentences(diagnosis)))
     page = command.output / "diagnosis.html"
@@ -117,6 +117,23 @@ def write(diagnosis: Diagnosis, command: Diagnose) -> None:
     following = next_command(diagnosis.verdict, diagnosis.found, command)
     if following:
         print(f"next: {shlex.join(following)}")
+
+
+def _with_history(diagnosis: Diagnosis, since: Model, command: Diagnose) -> Model:
+    """The model that a diagnosis ends with, and what it changed in its history."""
+    held, new = diagnosis.held_out, diagnosis.model
+    if new == since:
+        return since
+    errors = (None, None, None) if held is None else (held.before_mm, held.after_mm, held.floor_mm)
+    before, after, floor = (None if error is None else error / 1e3 for error in errors)
+    return new.revised(
+        since,
+        f"diagnosis: {'lacked ' + ' and '.join(diagnosis.found) if diagnosis.found else 'parameters were off'}",
+        data=[path.stem for path in (*command.measurements, *command.base)],
+        error_before=before,
+        error_after=after,
+        floor=floor,
+    )
 
 
 def next_command(verdict: str, found: Sequence[str], command: Diagnose, refitted: str = "refitted.json") -> list[str]:

@@ -14,6 +14,7 @@ import tyro
 from caphy.effects.base import Effect, Group, needs
 from caphy.effects.registry import find_effect, register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
+from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST
 
 if TYPE_CHECKING:
@@ -183,25 +184,36 @@ def _description(effect: Effect) -> str:
 
 
 def _check(names: tuple[str, ...]) -> int:
+    failures = sum(_check_one(name) for name in names)
+    print(f"{failures} failed" if failures else "all passed")
+    return 1 if failures else 0
+
+
+def _check_one(name: str) -> int:
+    """Put one effect to the test; returns how many properties it fails."""
     from caphy.effects.battery import CHECKS
 
-    failures = 0
-    for name in names:
-        lacks = find_effect(name).lacks
-        for check in CHECKS:
-            why, verdict = lacks.get(check.__name__), "ok"
-            try:
-                check(name)
-                if why is not None:
-                    failures, verdict = failures + 1, f"FAILED  has what it says that it lacks ({why})"
-            except Exception as error:
-                if why is not None and isinstance(error, AssertionError):
-                    verdict = f"lacks it, as it says: {why}"
-                else:
-                    kind = "" if isinstance(error, AssertionError) else f"{type(error).__name__}: "
-                    failures, verdict = failures + 1, f"FAILED  {kind}{error}"
-            print(f"{name}  {check.__name__.replace('_', ' ')}: {verdict}")
-    print(f"{failures} of {len(names) * len(CHECKS)} failed" if failures else "all passed")
-    if failures:
-        print('what an effect rightly lacks it may say: lacks = {"same_in_every_frame": "the wind has a direction"}')
-    return 1 if failures else 0
+    failed, lacks = [], find_effect(name).lacks
+    for check in CHECKS:
+        what, why = check.__name__.replace("_", " "), lacks.get(check.__name__)
+        verdict = "ok" if why is None else f"FAILED  has what it says that it lacks ({why})"
+        try:
+            check(name)
+        except CaphyError as error:  # what is no effect fails everything else as well
+            print(f"{name}  {what}: FAILED  {error}; the rest was not tried")
+            return len(failed) + 1
+        except AssertionError as error:
+            verdict = f"FAILED  {error}" if why is None else f"lacks it, as it says: {why}"
+        except Exception as error:
+            verdict = f"FAILED  {type(error).__name__}: {error}"
+        if verdict.startswith("FAILED"):
+            failed.append(check.__name__)
+        print(f"{name}  {what}: {verdict}")
+    names = [check.__name__ for check in CHECKS]
+    for key in lacks:
+        if key not in names:
+            failed.append(key)
+            print(f"{name}  lacks: FAILED  there is no property {key!r}; there are {', '.join(sorted(names))}")
+    if rightly := [key for key in failed if key in names and key not in lacks]:
+        print(f'what it rightly lacks it may say: lacks = {{"{rightly[0]}": "why"}}')
+    return len(failed)

@@ -22,6 +22,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
+from caphy.measure.noise import overstated
 from caphy.refit.again import fitted_again
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import Apart, HeldOut
@@ -167,7 +168,8 @@ def diagnose(
     settle_laws(study, found, apart)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     concluded = _concluded(found, study, start, known, apart, elsewhere)
-    return replace(concluded, seconds=time.perf_counter() - began)
+    doubts = filter(None, map(overstated, measurements))
+    return replace(concluded, notes=(*concluded.notes, *doubts), seconds=time.perf_counter() - began)
 
 
 def _concluded(

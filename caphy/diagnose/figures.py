@@ -88,7 +88,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
         held = diagnosis.held_out
         said.append(f"On held-out measurements it falls from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
     if diagnosis.base is not None and diagnosis.base.changed:
-        moved = ", ".join(f"{name} {by:+.2g}" for name, by in diagnosis.base.changed.items())
+        moved = ", ".join(f"{name} {100 * by:+.3g} %" for name, by in diagnosis.base.changed.items())
         said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
     return said + [f"Note: {note}." for note in diagnosis.notes]
 
@@ -141,7 +141,7 @@ def _in_unit(name: str, value: float, unit: str) -> str:
 
 
 def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
+    return "" if unit == "1" else " (relative change)" if unit == "relative" else f" {unit}"
 
 
 def _listed(names) -> str:

@@ -29,6 +29,7 @@ import torch
 from torch import Tensor
 
 from caphy.effects.cloth import Cloth
+from caphy.errors import CaphyError
 
 ElementKind = Literal["vertex", "edge", "face", "hinge"]
 
@@ -211,6 +212,12 @@ class Effect:
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)
+        for key, declared in cls.parameters.items():
+            if not isinstance(declared, Parameter):
+                raise TypeError(
+                    f"{cls.__name__}.parameters[{key!r}] must be Parameter(default, unit, lower, upper, doc=...), "
+                    f"got {declared!r}"
+                )
         if "parameters" in vars(cls) and "coefficients" not in vars(cls):
             cls.coefficients = tuple(key for key, parameter in cls.parameters.items() if parameter.linear)
 
@@ -251,9 +258,19 @@ class Effect:
         """
         x = e.x.detach().requires_grad_(True)
         with torch.enable_grad():
-            energy = self.energy(replace(e, x=x), p)
+            energy = self._checked_energy(replace(e, x=x), p)
             (gradient,) = torch.autograd.grad(energy.sum(), x, allow_unused=True)
         return energy.detach(), torch.zeros_like(x) if gradient is None else gradient
+
+    def _checked_energy(self, e: Elements, p: Values) -> Tensor:
+        """:meth:`energy`; raises CaphyError where it gives something else than one number for each element."""
+        energy, wanted = self.energy(e, p), tuple(e.x.shape[2:])
+        if not isinstance(energy, Tensor) or tuple(energy.shape) != wanted:
+            got = tuple(energy.shape) if isinstance(energy, Tensor) else type(energy).__name__
+            raise CaphyError(f"{self.name}: energy(e, p) must return the energy of each element {wanted}, got {got}")
+        if not energy.requires_grad:
+            raise CaphyError(f"{self.name}: energy(e, p) must depend on e.x or e.velocity; it calls forth no force")
+        return energy
 
     def hessian(self, e: Elements, p: Values) -> Tensor:
         """Second derivative of each element's energy [N/m], (k, 3, k, 3, ..., n).

@@ -6,7 +6,6 @@ units, the rest by symmetry. The tests run it on every registered effect and ``c
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -17,10 +16,12 @@ from torch import Tensor
 
 from caphy.effects.base import BodyState, Effect, Step, companions
 from caphy.effects.cloth import Cloth
+from caphy.effects.compiled import KERNELS, kernel_of
 from caphy.effects.model import Model, ParameterValues
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect
 from caphy.effects.trial import DT, Moment, flat_cloth, irregular_cloth, moment, pleated_cloth
+from caphy.effects.units import dimensions
 from caphy.errors import CaphyError
 
 
@@ -92,6 +93,15 @@ def single_precision(name: str) -> None:
     single = _potential(name, cloth, torch.float32).gradient(low.x, low.step, low.body)
     _close(single[0].double(), double[0], "energy", 1e-3)
     _close(single[1].double(), double[1], "gradient", 1e-3)
+
+
+def kernel_agrees(name: str) -> None:
+    """The compiled loop, where there is one, computes what the effect's own formulas do."""
+    effect = type(find_effect(name))
+    assert effect not in KERNELS or kernel_of(effect) is not None, (
+        f"{effect.__module__} and its compiled loop ({KERNELS[effect].__name__} in {KERNELS[effect].__module__}) "
+        "compute different things; the loop is not used, which takes longer: change it too"
+    )
 
 
 def gradient_is_slope(name: str) -> None:
@@ -213,20 +223,6 @@ def rests_at_rest(name: str) -> None:
         energy, gradient = potential.gradient(x, still, at.body)
         assert abs(float(energy)) <= 1e-12 * abs(float(stirred[0])), f"rest energy {float(energy):g} J"
         assert float(gradient.abs().max()) <= 1e-10 * float(stirred[1].abs().max()), "there must be no force at rest"
-
-
-UNITS = {"kg": (1, 0, 0), "m": (0, 1, 0), "s": (0, 0, 1), "N": (1, 1, -2), "J": (1, 2, -2), "Pa": (1, -1, -2)}
-
-
-def dimensions(unit: str) -> tuple[int, int, int]:
-    """Powers of (kg, m, s) of a unit such as ``N s/m^3``; ``1`` and ``rad`` have none."""
-    total = np.zeros(3, int)
-    for sign, part in zip((1, -1), unit.split("/"), strict=False):
-        for symbol, power in re.findall(r"([A-Za-z]+)(?:\^(\d+))?", part):
-            if symbol != "rad":
-                total += sign * np.array(UNITS[symbol]) * int(power or 1)
-    kilogram, metre, second = total.tolist()
-    return kilogram, metre, second
 
 
 def units_fit(name: str) -> None:
@@ -395,6 +391,7 @@ CHECKS: tuple[Callable[[str], None], ...] = (
     finite,
     batch_equals_loop,
     single_precision,
+    kernel_agrees,
     gradient_is_slope,
     hessian_is_slope,
     projection_is_semidefinite,

@@ -18,7 +18,7 @@ from caphy.effects.base import BodyState, Effect, Elements, Step
 from caphy.effects.bending import Bending
 from caphy.effects.bending_damping import BendingDamping
 from caphy.effects.body_contact import BodyContact
-from caphy.effects.compiled import KERNELS, Bound
+from caphy.effects.compiled import Bound, kernel_of
 from caphy.effects.gravity import Gravity
 from caphy.effects.hinge import Hinge
 from caphy.effects.inertia import Inertia
@@ -35,7 +35,7 @@ COMPILED: Mapping[type[Effect], Callable | None] = {
     BodyContact: block_kernels.body_contact,
     Gravity: None,
 }
-"""Loops that add the Hessians of effects, called with what :data:`caphy.effects.compiled.KERNELS` says; None where
+"""Loops that add the Hessians of effects, called with what :data:`caphy.effects.compiled.kernel_of` says; None where
 there is nothing to add."""
 
 
@@ -59,9 +59,9 @@ def add_blocks(
         slots: places among the blocks of the pairs of an element's corners (n, k, k), -1 where not stored.
     """
     effect = type(term.effect)
-    if effect in COMPILED:
+    if effect in COMPILED and (kernel := kernel_of(effect)) is not None:
         if (loop := COMPILED[effect]) is not None:
-            _, fields, constants = KERNELS[effect](Bound(term.index, term.rest, term.values, step, body))
+            _, fields, constants = kernel(Bound(term.index, term.rest, term.values, step, body))
             fixed = (_array(value) if isinstance(value, Tensor) else value for value in constants)
             loop(*(_array(field)[None] for field in (x, *fields)), *fixed, float(projection), slots, blocks)
         return

@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from caphy.effects.base import HISTORY, BodyState, Effect, Elements, Step, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import KERNELS, Bound, accumulate
+from caphy.effects.compiled import Bound, accumulate, kernel_of
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
+from caphy.errors import CaphyError
 from caphy.recorded import Recorded
 
 
@@ -42,6 +44,22 @@ class Term:
         padded = torch.nn.functional.pad(flat, (0, 1))
         slots = padded.index_select(-1, self.incidence.reshape(-1))
         return slots.unflatten(-1, tuple(self.incidence.shape)).sum(-1)
+
+
+def _rest(effect: Effect, cloth: Cloth, count: int) -> dict[str, np.ndarray]:
+    """What an effect says its elements are at rest; raises CaphyError unless it says it of each."""
+    rest = effect.rest(cloth)
+    if not isinstance(rest, dict):
+        raise CaphyError(
+            f"{effect.name}: rest(cloth) must return a dictionary, name -> array, got {type(rest).__name__}"
+        )
+    for key, value in rest.items():
+        if np.shape(value)[-1:] not in ((count,), ()):
+            raise CaphyError(
+                f"{effect.name}: rest(cloth)[{key!r}] must have {count} entries along its last axis, "
+                f"one for each {effect.element}, got shape {np.shape(value)}"
+            )
+    return rest
 
 
 def _incidence(index: Tensor, vertex_count: int) -> Tensor:
@@ -101,7 +119,7 @@ class Potential:
         values = {key: tensor(value) for key, value in self.model.effects[name].items()}
         for other in effect.lenders(self.model.effects) or ():
             values |= {f"{other}.{key}": tensor(value) for key, value in self.model.effects[other].items()}
-        rest = {key: tensor(value) for key, value in effect.rest(self.cloth).items()}
+        rest = {key: tensor(value) for key, value in _rest(effect, self.cloth, len(index)).items()}
         incidence = _incidence(index, len(self.cloth.vertices))
         return Term(effect, index.to(self.device), incidence.to(self.device), rest, values)
 
@@ -177,7 +195,7 @@ class Potential:
     def _summed(self, x: Tensor, step: Step | None, body: BodyState | None) -> tuple[Tensor, Tensor]:
         energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
         for _, term in self.present(step, body):
-            kernel = KERNELS.get(type(term.effect)) if x.device.type == "cpu" else None
+            kernel = kernel_of(type(term.effect)) if x.device.type == "cpu" else None
             if kernel is not None:
                 accumulate(kernel(Bound(term.index, term.rest, term.values, step, body)), x, energy, gradient)
                 continue

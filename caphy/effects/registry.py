@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import inspect
 import pkgutil
+import sys
 from collections.abc import Set
 from functools import cache
 from importlib.metadata import entry_points
@@ -16,7 +17,8 @@ from typing import get_args
 import numpy as np
 
 import caphy.effects
-from caphy.effects.base import Effect, ElementKind, Group
+from caphy.effects.base import Effect, ElementKind, Group, Parameter
+from caphy.effects.units import dimensions
 from caphy.errors import CaphyError
 
 _from_files: dict[str, type[Effect]] = {}
@@ -74,6 +76,8 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
         raise CaphyError(f"{where}: reference must say where the effect comes from")
     if effect.energy is Effect.energy:
         raise CaphyError(f"{where}: must define energy(self, e, p)")
+    for key, declared in effect.parameters.items():
+        _check_parameter(f"{where}: parameter {key}", declared)
     if effect.refines is not None and effect.refines not in {*_installed(), *_from_files, *beside} - {effect.name}:
         raise CaphyError(f"{where}: refines must name an effect that there is, got {effect.refines!r}")
     if effect.refines is not None and effect.start is Effect.start:
@@ -90,15 +94,37 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
             )
 
 
+def _check_parameter(where: str, declared: Parameter) -> None:
+    try:
+        default = np.asarray(declared.default, dtype=float)
+    except (TypeError, ValueError):
+        raise CaphyError(f"{where}: its default must be a number or tuples of them, got {declared.default!r}") from None
+    try:
+        dimensions(declared.unit)
+    except CaphyError as error:
+        raise CaphyError(f"{where}: {error}") from error
+    if not ((default >= declared.lower) & (default <= declared.upper)).all():  # nor where one of them is no number
+        raise CaphyError(
+            f"{where}: its default must lie within its bounds [{declared.lower:g}, {declared.upper:g}], "
+            f"got {declared.default}"
+        )
+
+
 def register_file(path: Path) -> list[str]:
-    """Register the effects that a user's Python file defines; returns their names."""
+    """Register the effects that a user's Python file defines; returns their names.
+
+    As with a script, what lies beside the file can be imported.
+    """
     spec = importlib.util.spec_from_file_location(f"caphy_effect_{path.stem}", path)
     if spec is None or spec.loader is None or not path.is_file():
         raise CaphyError(f"{path}: an effect file must be an existing .py file")
     module = importlib.util.module_from_spec(spec)
+    beside = str(path.resolve().parent)
+    if beside not in sys.path:
+        sys.path.append(beside)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise CaphyError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
     effects = _defined_in(module)
     if not effects:

@@ -20,6 +20,7 @@ MEDIAN_ONE: Final = 0.6745
 _MEDIAN_CHI2_3 = 2.36597 / 3  # median over mean of chi-square with 3 degrees, one for each coordinate
 _CALM = 0.1  # share of the frames, the calmest, that noise is read from: fast motion is not cubic
 _NEIGHBOURS = 12
+_OVERSTATED = 3.0
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,24 @@ def measurement_noise(measurement: Measurement) -> Noise | None:
         return Noise(1e-3 * measurement.noise_mm, "stated in the measurement")
     if measurement.noise is not None:
         return Noise(float(np.nanmedian(measurement.noise)), "stated in the measurement, median over points")
-    if measurement.vertices is not None:
-        return _of_tracks(measurement)
-    return _of_clouds(measurement)
+    return _seen(measurement)
+
+
+def overstated(measurement: Measurement) -> str | None:
+    """Doubt in words where a file states far more noise than its data scatter by, which hides all that it shows."""
+    stated = measurement_noise(measurement)
+    seen = None if stated is None or not stated.source.startswith("stated") else _seen(measurement)
+    if stated is None or seen is None or stated.sigma <= _OVERSTATED * seen.sigma:
+        return None
+    return (
+        f"{measurement.name} states noise of {1e3 * stated.sigma:.3g} mm but scatters by {1e3 * seen.sigma:.2g} mm; "
+        "what it says is believed, and hides effects that are smaller"
+    )
+
+
+def _seen(measurement: Measurement) -> Noise | None:
+    """What the data themselves show of their noise, no less than it is."""
+    return _of_clouds(measurement) if measurement.vertices is None else _of_tracks(measurement)
 
 
 def _of_tracks(measurement: Measurement) -> Noise | None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
+from caphy.effects.model import Model
 from caphy.tensile.diagnosis import CurveDiagnosis
 from caphy.tensile.errors import STAGES
 from caphy.tensile.fit import Fit
@@ -82,10 +84,17 @@ def _measured(loading: Loading) -> dict:
     }
 
 
-def write(result: CurveDiagnosis | CurveRefit, folder: str | Path, title: str = "Tensile tests") -> list[Path]:
+def write(
+    result: CurveDiagnosis | CurveRefit,
+    folder: str | Path,
+    title: str = "Tensile tests",
+    since: Model | None = None,
+    data: Sequence[str] = (),
+) -> list[Path]:
     """Write diagnosis.json (refit.json), its page, and the model of each fabric; returns the paths.
 
-    The models are of used cloth; where the first loading differs, ``FABRIC_first.json`` is of that.
+    The models are of used cloth; where the first loading differs, ``FABRIC_first.json`` is of that. With ``since``,
+    the model that was fitted, to tables called ``data``, their history says so.
     """
     from caphy import __version__
     from caphy.report.page.compose import tensile_page
@@ -101,13 +110,18 @@ def write(result: CurveDiagnosis | CurveRefit, folder: str | Path, title: str = 
         f"{name}.html": tensile_page(title, document, {"written by": f"caphy {__version__}"}),
     }
     for fabric, (first, used) in diagnosis.models.items():
-        texts[f"{_slug(fabric)}.json"] = used.to_json()
+        texts[f"{_slug(fabric)}.json"] = _revised(used, since, f"fitted to tensile tests of {fabric}", data)
         if diagnosis.found_used:
-            texts[f"{_slug(fabric)}_first.json"] = first.to_json()
+            note = f"fitted to first loadings in tensile tests of {fabric}"
+            texts[f"{_slug(fabric)}_first.json"] = _revised(first, since, note, data)
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in texts.items():
         _write_text(folder / file, text)
     return [folder / file for file in texts]
+
+
+def _revised(model: Model, since: Model | None, note: str, data: Sequence[str]) -> str:
+    return (model if since is None else model.revised(since, note, data=data)).to_json()
 
 
 def _slug(name: str) -> str:

@@ -26,7 +26,7 @@ def diagnose_tables(
             bar.set_postfix_str(what)
 
         answer = diagnose_curves(model, _curves(tables), _curves(held_out), say, kept)
-    _finish(answer, output, tables)
+    _finish(answer, output, model, tables)
     return answer
 
 
@@ -34,16 +34,16 @@ def refit_tables(
     model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], add: Sequence[str], kept: Kept
 ) -> None:
     """Refit a model with effects added to tables of force curves; raises :class:`caphy.errors.CaphyError`."""
-    _finish(refit_curves(model, _curves(tables), _curves(held_out), add, kept), output, tables)
+    _finish(refit_curves(model, _curves(tables), _curves(held_out), add, kept), output, model, tables)
 
 
 def _curves(tables: Sequence[Path]) -> list[ForceCurve]:
     return [curve for table in tables for curve in read_force_curves(table)]
 
 
-def _finish(result: CurveDiagnosis | CurveRefit, output: Path, tables: Sequence[Path]) -> None:
+def _finish(result: CurveDiagnosis | CurveRefit, output: Path, model: Model, tables: Sequence[Path]) -> None:
     title = f"Tensile tests: {', '.join(table.stem for table in tables)}"
-    paths = write(result, output, title)
+    paths = write(result, output, title, model, [table.stem for table in tables])
     cautions = result.outcome.cautions if isinstance(result, CurveRefit) else result.cautions
     print("\n".join([*result.sentences, *(f"Caution: {caution}" for caution in cautions)]))
     print("\n" + "\n".join(map(str, paths)))

@@ -56,6 +56,13 @@ def test_what_is_no_diagnosis_is_told(tmp_path, capsys, text):
     assert "diagnosis: named, pressure\n  right" in capsys.readouterr().out
 
 
+def test_an_earlier_diagnosis_is_not_judged_by_a_new_challenge(tmp_path, capsys):
+    (tmp_path / "diagnosis").mkdir()
+    assert main(["challenge", "new", "--seed", "1", "-o", str(tmp_path)]) == 2
+    assert "belongs to an earlier challenge" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["diagnosis"]
+
+
 def test_noise_must_be_a_number(tmp_path, capsys):
     assert main(["challenge", "new", "--seed", "1", "--noise", "nan", "-o", str(tmp_path)]) == 2
     assert "must not be negative, got 1 and nan" in capsys.readouterr().err

@@ -77,6 +77,23 @@ def test_check_finds_what_is_wrong_with_a_users_file(tmp_path: Path, capsys: pyt
     assert "wrong  finite: ok" in printed and "Traceback" not in printed
 
 
+def test_a_property_that_there_is_not_cannot_be_lacked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.py"
+    assert main(["effects", "new", "mine", "-o", str(path)]) == 0
+    path.write_text(path.read_text().replace("needs_step", 'lacks = {"units": "none"}\n    needs_step'))
+    assert main(["effects", "check", "--effect-file", str(path)]) == 1
+    assert "there is no property 'units'; there are batch_equals_loop" in capsys.readouterr().out
+
+
+def test_what_is_no_effect_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.py"
+    assert main(["effects", "new", "mine", "-o", str(path)]) == 0
+    path.write_text(path.read_text().replace('{"area": cloth.vertex_area}', "[]"))
+    assert main(["effects", "check", "--effect-file", str(path)]) == 1
+    printed = capsys.readouterr().out
+    assert printed.count("FAILED") == 1 and "dictionary, name -> array, got list; the rest was not tried" in printed
+
+
 def test_show_says_what_an_addition_needs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["effects", "show", "shrinkage"]) == 0
     printed = capsys.readouterr().out

@@ -224,6 +224,7 @@ def test_the_commands_write_what_they_say_and_go_on_where_they_were_stopped(tmp_
     assert json.loads((tmp_path / "d" / "diagnosis.json").read_text())["found"] == ["mass_damping"]
     page = (tmp_path / "d" / "diagnosis.html").read_text()
     assert "The model lacks mass_damping" in page
+    assert Model.load(tmp_path / "d" / "model.json").history[-1].added == ("mass_damping",)
     assert page.count("data:image/png;base64") >= 3
     better = tmp_path / "better.json"
     proof = ["--held-out", str(tmp_path / "m1.npz")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,10 @@ import torch
 
 from caphy.effects import potential as potential_module
 from caphy.effects.base import companions
+from caphy.effects.battery import kernel_agrees
 from caphy.effects.cloth import Cloth
+from caphy.effects.compiled import KERNELS, kernel_of
+from caphy.effects.gravity import Gravity
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.presets import fabric_model, snug_model
@@ -26,8 +30,36 @@ def test_compiled_loops_say_what_the_closed_forms_say(model: Model, monkeypatch:
     at = moment(cloth, (4,))
     potential = Potential(model, cloth)
     compiled = potential.gradient(at.x, at.step, at.body)
-    monkeypatch.setattr(potential_module, "KERNELS", {})
+    monkeypatch.setattr(potential_module, "kernel_of", lambda effect: None)
     torch.testing.assert_close(compiled, potential.gradient(at.x, at.step, at.body), rtol=1e-11, atol=1e-14)
+
+
+def test_every_compiled_loop_is_used() -> None:
+    assert all(kernel_of(effect) is not None for effect in KERNELS)
+
+
+@pytest.fixture
+def heavier(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Somebody has changed the formula of the weight, and its compiled loop not."""
+    plain = Gravity.gradient
+    monkeypatch.setattr(Gravity, "energy", lambda self, e, p: 2 * gravity_energy(self, e, p))
+    monkeypatch.setattr(Gravity, "gradient", lambda self, e, p: tuple(2 * part for part in plain(self, e, p)))
+    kernel_of.cache_clear()
+    yield
+    kernel_of.cache_clear()
+
+
+gravity_energy = Gravity.energy
+
+
+def test_the_file_of_an_effect_rules_over_its_compiled_loop(heavier: None) -> None:
+    cloth = flat_cloth()
+    x = torch.as_tensor(cloth.vertices)
+    _, gradient = Potential(Model(0.2, {"gravity": {}}), cloth).gradient(x)
+    weight = 2 * 9.81 * 0.2 * float(cloth.vertex_area.sum())
+    assert float(gradient[:, 1].sum()) == pytest.approx(weight)
+    with pytest.raises(AssertionError, match=r"effects.gravity and its compiled loop \(_gravity .* change it too"):
+        kernel_agrees("gravity")
 
 
 def test_the_total_is_the_sum_of_its_effects() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,9 @@ import pytest
 from caphy.effects import registry
 from caphy.effects.battery import CHECKS
 from caphy.effects.model import Model
+from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect, register_file, registered_effects
+from caphy.effects.trial import irregular_cloth, moment
 from caphy.errors import CaphyError
 
 WIND = '''
@@ -70,6 +73,11 @@ def test_a_users_effect_is_listed_and_modelled(wind: str) -> None:
         ("x = 1", "defines no subclass"),
         ("import nowhere_at_all", "cannot be imported: ModuleNotFoundError"),
         ("def broken(:", "cannot be imported: SyntaxError"),
+        ("raise SystemExit(3)", "cannot be imported: SystemExit: 3"),
+        (
+            WIND.replace('Parameter(0.5, "N s/m^3", 0.0, 100.0, doc="pull per area and speed")', "0.5"),
+            r"MyWind.parameters\['coefficient'\] must be Parameter\(default, .* got 0.5",
+        ),
     ],
 )
 def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, text: str, message: str) -> None:
@@ -86,6 +94,10 @@ def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, text: str, messag
         ('element = "vertex"', 'element = "thread"', "element must be one of vertex, edge, face, hinge"),
         ('reference = "a user\'s own"', "", "reference must say"),
         ("def energy(", "def energies(", "must define energy"),
+        ('"N s/m^3"', '"K/m^3"', "parameter coefficient: a unit must be made of kg, m, .* got 'K'"),
+        ("Parameter(0.5,", "Parameter(500.0,", r"coefficient: its default must lie within its bounds \[0, 100\]"),
+        ("Parameter(0.5,", "Parameter(float('nan'),", "its default must lie within its bounds"),
+        ("Parameter(0.5,", 'Parameter("much",', "its default must be a number or tuples of them, got 'much'"),
         ('element = "vertex"', 'element = "vertex"\n    refines = "wind"', "refines must name an effect .* got 'wind'"),
         ('element = "vertex"', 'element = "vertex"\n    refines = "wind_normal"', "must define start"),
         ('element = "vertex"', 'element = "vertex"\n    further = {"wind": (1.0,)}', "look for one number wind"),
@@ -114,6 +126,41 @@ def test_an_effect_may_refine_another_of_the_same_file_but_not_itself(tmp_path: 
     path.write_text(law.replace("NAME", "my_law"))
     with pytest.raises(CaphyError, match="refines must name an effect that there is, got 'my_law'"):
         register_file(path)
+
+
+def test_what_lies_beside_an_effect_can_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_from_files", {})
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "tables_of_mine.py").write_text("SPEED = 2.0\n")
+    path = tmp_path / "my_wind.py"
+    path.write_text(WIND.replace("class MyWind", "from tables_of_mine import SPEED\n\n\nclass MyWind"))
+    assert register_file(path) == ["my_wind"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('{"area": cloth.vertex_area}', "cloth.vertex_area", r"my_wind: rest\(cloth\) must return a dictionary"),
+        (
+            "cloth.vertex_area}",
+            "cloth.vertex_area[:3]}",
+            r"must have 42 entries .* got shape \(3,\)",
+        ),
+        ("return 0.5 * e.dt", "return 0.5  #", r"must return the energy of each element \(42,\), got float"),
+        ("return 0.5", "return torch.zeros(42)  #", "must depend on e.x or e.velocity"),
+    ],
+)
+def test_what_is_no_effect_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, message: str
+) -> None:
+    monkeypatch.setattr(registry, "_from_files", {})
+    path = tmp_path / "my_wind.py"
+    path.write_text("import torch\n" + WIND.replace(old, new))
+    (name,) = register_file(path)
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    with pytest.raises(CaphyError, match=message):
+        Potential(Model(0.2, {name: {}}), cloth).gradient(at.x, at.step, at.body)
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:

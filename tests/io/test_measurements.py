@@ -250,7 +250,9 @@ def test_cloth_of_another_place_is_told():
         ({"vertices": np.zeros((0, 36, 3)), "pinned_positions": np.zeros((0, 2, 3))}, "holds no frames"),
         ({"fps": np.nan}, "fps must be positive"),
         ({"noise": np.ones(7)}, "noise must have shape"),
+        ({"noise": np.full(36, 1e-3), "noise_mm": 1.0}, "either 'noise', of each point"),
         ({"pinned": np.array([0, 0])}, "once"),
+        ({"pinned": np.arange(36) < 2}, "pinned must be indices, got a mask; give numpy.flatnonzero of it"),
         ({"poses": np.zeros((20, 55, 3))}, "poses needs transl"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 
 from caphy.io.measurements import Measurement
 from caphy.measure.local_fit import cubic_residuals, local_quadratic
-from caphy.measure.noise import MEDIAN_NORM, P95_NORM, measurement_noise
+from caphy.measure.noise import MEDIAN_NORM, P95_NORM, measurement_noise, overstated
 
 FACES = np.array([[0, 1, 2]])
 
@@ -62,6 +62,18 @@ def test_stated_noise_wins_and_clouds_have_a_thickness():
     flat = np.concatenate([random.uniform(0, 0.3, (3000, 2)), random.normal(0, 0.001, (3000, 1))], axis=1)
     cloud = Measurement("m", 30.0, points=flat, offsets=np.array([0, 3000]))
     assert measurement_noise(cloud).sigma == pytest.approx(0.001, rel=0.15)
+
+
+@pytest.mark.parametrize(("stated_mm", "doubted"), [(50.0, True), (1.0, False), (2.0, False), (None, False)])
+def test_noise_that_the_data_do_not_show_is_doubted(stated_mm, doubted):
+    random = np.random.default_rng(0)
+    flat = np.concatenate([random.uniform(0, 0.3, (3000, 2)), random.normal(0, 0.001, (3000, 1))], axis=1)
+    cloud = Measurement("m", 30.0, points=flat, offsets=np.array([0, 3000]), noise_mm=stated_mm)
+    track = Measurement("m", 30.0, vertices=tracks(sigma=0.001), faces=FACES, noise_mm=stated_mm)
+    for measurement in (cloud, track):
+        said = overstated(measurement)
+        assert (said is not None) == doubted
+        assert said is None or "m states noise of 50 mm but scatters by 1" in said or "by 0.9" in said
 
 
 def test_lengths_of_noise():

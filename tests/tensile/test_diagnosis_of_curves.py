@@ -208,11 +208,13 @@ def test_a_model_without_elasticity_is_refused():
 
 def test_results_are_written(tmp_path):
     answer = diagnose_curves(model(), measured(isotropic(fourth=1500.0), TOP, 1))
-    paths = write(answer, tmp_path)
+    paths = write(answer, tmp_path, since=model(), data=["strips"])
     assert {path.name for path in paths} == {"diagnosis.json", "diagnosis.html", "cloth.json"}
     document = json.loads((tmp_path / "diagnosis.json").read_text())
     assert document["verdict"] == "named" and document["found"] == [{"effect": "strain_stiffening", "from_loading": 1}]
-    assert Model.load(tmp_path / "cloth.json").effects.keys() >= {"strain_stvk", "strain_stiffening"}
+    found = Model.load(tmp_path / "cloth.json")
+    assert found.effects.keys() >= {"strain_stvk", "strain_stiffening"}
+    assert (found.history[-1].added, found.history[-1].data) == (("strain_stiffening",), ("strips",))
     page = (tmp_path / "diagnosis.html").read_text()
     assert page.count("<svg") == 2 and "http" not in page.replace("http://www.w3.org", "")
 
@@ -285,6 +287,15 @@ def test_a_table_that_excel_wrote_is_read_as_any_other(tmp_path):
     table = tmp_path / "table.csv"
     table.write_text("\n".join([HEADER, ROWS.format("1"), ROWS.format("2.0")]), encoding="utf-8-sig")
     assert [(c.fabric, c.loading) for c in read_force_curves(table)] == [("rib", 1), ("rib", 2)]
+
+
+def test_empty_rows_of_spreadsheets_are_passed_over_and_lines_counted(tmp_path):
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join([HEADER, "", ROWS.format("1"), ",,,,,", ROWS.format("2"), ",,,,,", ""]))
+    assert [(c.loading, len(c.axial)) for c in read_force_curves(table)] == [(1, 4), (2, 4)]
+    table.write_text("\n".join([HEADER, "", ",,,,,", ROWS.format("x")]))
+    with pytest.raises(CaphyError, match=r"table.csv: line 4: loading must be 1 .* got 'x'"):
+        read_force_curves(table)
 
 
 @pytest.mark.parametrize("loading", ["0", "L1", "1.5", "nan", "inf"])

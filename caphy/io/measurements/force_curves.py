@@ -18,6 +18,9 @@ _RATIO: Final = 0.5  # smallest strain of a curve from which on lengths over res
 UNLOADED: Final = 1.0
 """Force per width below which a sample counts as unloaded [N/m]; load cells of such tests resolve about 0.1."""
 
+_Row = tuple[int, Mapping[str, str]]
+"""A line's number, and its values by column."""
+
 
 @dataclass(frozen=True, eq=False)
 class ForceCurve:
@@ -83,22 +86,25 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
     path = Path(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:  # as Excel writes it
-            rows = list(csv.DictReader(file))
+            reader = csv.DictReader(file)
+            table = [(reader.line_num, row) for row in reader]
     except (OSError, UnicodeDecodeError) as error:
         raise CaphyError(f"{path}: cannot be read: {error}") from error
+    rows = [(line, row) for line, row in table if any(row.values())]  # spreadsheets end in rows of commas
     if not rows:
         raise CaphyError(f"{path}: a table of force curves needs a header and rows, got none")
-    if set(KNIT_COLUMNS) <= set(rows[0]):
+    names = list(rows[0][1])
+    if set(KNIT_COLUMNS) <= set(names):
         return _knit_curves(rows, path)
-    missing = [name for name in COLUMNS if name not in rows[0] and name != "transverse_strain"]
+    missing = [name for name in COLUMNS if name not in names and name != "transverse_strain"]
     if missing:
         raise CaphyError(
             f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got "
-            f"{', '.join(map(str, rows[0]))}; the first line names them; commas part columns, points decimals"
+            f"{', '.join(map(str, names))}; the first line names them; commas part columns, points decimals"
         )
     curves = []
     for (fabric, direction, loading), part in _groups(rows, ("fabric", "direction", "loading")).items():
-        columns = [_column(part, name, path) if name in rows[0] else np.full(len(part), np.nan) for name in COLUMNS]
+        columns = [_column(part, name, path) if name in names else np.full(len(part), np.nan) for name in COLUMNS]
         axial, transverse, force = columns
         number = _loading(loading, path, part[0][0])
         curves.append(ForceCurve(fabric or path.stem, direction or "weft", number, axial, transverse, force, str(path)))
@@ -118,7 +124,7 @@ def _loading(text: str, path: Path, line: int) -> int:
     return int(number)
 
 
-def _knit_curves(rows: Sequence[Mapping[str, str]], path: Path) -> list[ForceCurve]:
+def _knit_curves(rows: Sequence[_Row], path: Path) -> list[ForceCurve]:
     curves = []
     for (sample, video), part in _groups(rows, ("sample", "video")).items():
         fabric, _, axis = sample.rpartition("_")
@@ -144,15 +150,15 @@ def _strain(length: np.ndarray, force: np.ndarray) -> np.ndarray:
     return length / np.median(length[:before]) - 1
 
 
-def _groups(rows: Sequence[Mapping[str, str]], keys: tuple[str, ...]) -> dict[tuple[str, ...], list]:
-    """Rows with their line numbers by the values of some columns, in order of appearance."""
-    groups: dict[tuple[str, ...], list] = {}
-    for line, row in enumerate(rows, start=2):
+def _groups(rows: Sequence[_Row], keys: tuple[str, ...]) -> dict[tuple[str, ...], list[_Row]]:
+    """Rows by the values of some columns, in order of appearance."""
+    groups: dict[tuple[str, ...], list[_Row]] = {}
+    for line, row in rows:
         groups.setdefault(tuple((row.get(key) or "").strip() for key in keys), []).append((line, row))
     return groups
 
 
-def _column(part: Sequence[tuple[int, Mapping[str, str]]], name: str, path: Path) -> np.ndarray:
+def _column(part: Sequence[_Row], name: str, path: Path) -> np.ndarray:
     values = []
     for line, row in part:
         try:

@@ -88,6 +88,8 @@ class Measurement:
             raise self._error(f"fps must be positive [Hz], got {self.fps}")
         if self.noise_mm is not None and not (np.isfinite(self.noise_mm) and self.noise_mm >= 0):
             raise self._error(f"noise_mm must not be negative, got {self.noise_mm}")
+        if self.noise_mm is not None and self.noise is not None:
+            raise self._error("must state either 'noise', of each point [m], or 'noise_mm', of all; it has both")
         self._require_groups()
         self._require_shapes()
         self._require_values()
@@ -140,6 +142,8 @@ class Measurement:
     def _array(self, name: str, value: object) -> np.ndarray:
         array = np.asarray(value)
         wanted = "U" if name == "regions" else "biuf"
+        if name in INTEGERS and array.dtype.kind == "b":
+            raise self._error(f"{name} must be indices, got a mask; give numpy.flatnonzero of it")
         if array.dtype.kind not in wanted:
             raise self._error(f"{name} must be {'text' if wanted == 'U' else 'numbers'}, got {array.dtype}")
         if name == "regions":
