@@ -129,9 +129,10 @@ def _same(effect: Effect, kernel: Callable[[Bound], Arguments]) -> bool:
     def gathered(field: Tensor) -> Tensor:
         return field[index.T].movedim(-1, 1)
 
-    history = (gathered(getattr(at.step, key)) for key in HISTORY)
     body = {field.name: gathered(getattr(at.body, field.name))[0] for field in fields(BodyState)}
-    elements = Elements(gathered(at.x), rest, at.step.dt, *history, at.step.time, body=body)
+    origin, target, lagged, velocity = (gathered(getattr(at.step, key)) for key in HISTORY)
+    history = at.step.dt, origin, target, lagged, velocity, at.step.time
+    elements = Elements(gathered(at.x), rest, *history, body=body)
     of_each, forces = effect.gradient(elements, values)
     wanted = torch.zeros_like(at.x).index_add_(0, index.T.reshape(-1), forces.movedim(1, -1).reshape(-1, 3))
     energies = of_each.sum(), effect.energy(elements, values).sum()
