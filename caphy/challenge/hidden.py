@@ -14,6 +14,9 @@ from caphy.effects.registry import find_effect
 
 Verdict = Literal["named", "nothing", "parameters", "none of these"]
 
+FORCED: Mapping[str, float] = {"tshirt": 4.0}
+"""How much stronger forces must be to move a scene's cloth by centimetres: a shirt lies on shoulders and arms."""
+
 
 @dataclass(frozen=True)
 class Hidden:
@@ -41,14 +44,22 @@ class Hidden:
         """Whether it does anything there."""
         return self.scenes is None or scene in self.scenes
 
-    def drawn(self, random: np.random.Generator) -> Hidden:
+    def drawn(self, random: np.random.Generator, scene: str = "square") -> Hidden:
         """This effect with its strength drawn between 0.75 and 1.4 of its usual one, and wind from any side."""
         turn = about_vertical(random.uniform(0, 360))
-        drawn = {name: _scaled(name, values, random.uniform(0.75, 1.4), turn) for name, values in self.effects.items()}
+        drawn = {
+            name: _scaled(name, values, _usual(name, scene) * random.uniform(0.75, 1.4), turn)
+            for name, values in self.effects.items()
+        }
         for place, limits in self.between.items():
             name, key = place.split(".")
             drawn[name][key] = random.uniform(*limits)
         return replace(self, effects=drawn)
+
+
+def _usual(name: str, scene: str) -> float:
+    """Usual strength of an effect in a scene, over that of :data:`ONE`."""
+    return FORCED.get(scene, 1.0) if find_effect(name).group in ("drag", "wind", "external") else 1.0
 
 
 def _scaled(name: str, values: Mapping[str, Any], factor: float, turn: np.ndarray) -> dict[str, Any]:

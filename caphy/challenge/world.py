@@ -81,7 +81,7 @@ def make(
         raise CaphyError(
             f"{hidden.name} does nothing in the scene {scene}; it acts in {', '.join(hidden.scenes or ())}"
         )
-    hidden = hidden.drawn(np.random.default_rng([seed, 1]))
+    hidden = hidden.drawn(np.random.default_rng([seed, 1]), scene)
     stage = SCENES[scene](seed, frames, hidden.same_mesh)
     found: dict[str, list[Measurement]] = {"train": [], "held_out": [], "base": []}
     films = _films(stage, hidden, seed, frames, cache, processes)

@@ -140,6 +140,26 @@ def tamed(known: Evidence, first: Evidence) -> Evidence:
     return replace(known, a=known.a * trust[:, None, None], b=known.b * trust[:, None])
 
 
+def borne_out(known: Evidence, first: Evidence, change: np.ndarray, last: np.ndarray) -> Evidence:
+    """Curvatures that are no greater than slopes at either end of a change (K,) bear out.
+
+    Where cloth wrinkles or is about to, tangents explode in many windows at once, while the misfit goes on falling as
+    before: curvatures there say that the fit has arrived, and slopes that it has not. On the way between both ends
+    slopes fall by what curvature there really is. If that is less than half of what the curvatures at the ends say in
+    the mean, those that have grown since the ``first`` look are what they were there.
+
+    Args:
+        last: the same change as it is counted at its end (:func:`caphy.refit.columns.from_the_end`).
+    """
+    (a, b), (end_a, end_b) = first.normal, known.normal
+    if change @ b - last @ end_b >= (change @ a @ change + last @ end_a @ last) / 4:
+        return known
+    unit = np.divide(change, last, out=np.ones_like(change), where=last != 0)
+    was, now = unit**2 * np.diag(a), np.diag(end_a)
+    kept = np.sqrt(np.divide(was, now, out=np.ones_like(was), where=(was > 0) & (was < now)))
+    return replace(known, a=known.a * kept[:, None] * kept)
+
+
 def _middle(ratio: np.ndarray, weight: np.ndarray) -> float:
     """The median of ratios (W,), each of which counts as much as its weight."""
     order = np.argsort(ratio)

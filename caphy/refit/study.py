@@ -16,7 +16,7 @@ from caphy.measure.windows import LENGTH
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.crew import Crew, Place
-from caphy.refit.evidence import KINDS, Evidence, bounded, estimated_variance, evidence, tamed
+from caphy.refit.evidence import KINDS, Evidence, borne_out, bounded, estimated_variance, evidence, tamed
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
 
@@ -446,4 +446,6 @@ def _judged(
     misfit = float((known.weight * known.c).sum())
     if first is None:
         return Fit(origin, model, columns, known, responses, known, misfit, most)
-    return Fit(origin, model, columns, first, responses, tamed(known, first), misfit, most)
+    change = changes(extended(origin, columns), model, columns)
+    known = borne_out(tamed(known, first), first, change, from_the_end(columns, change))
+    return Fit(origin, model, columns, first, responses, known, misfit, most)
