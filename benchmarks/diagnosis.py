@@ -21,6 +21,7 @@ import tyro
 
 from caphy.challenge.hidden import HIDDEN, NOTHING, ONE, OUTSIDE, PAIRS
 from caphy.challenge.world import World, make
+from caphy.processes import end_at_ctrl_c
 from caphy.register.result import write_text
 
 
@@ -163,6 +164,7 @@ def _collected(options: Options, left: Sequence[Case], workers: list, answers) -
 
 
 def _work(queue, answers, options: Options, began: float) -> None:
+    end_at_ctrl_c()
     while (case := queue.get()) is not None and time.time() - began < 60 * options.minutes:
         try:
             answers.put(run(case, options))
