@@ -153,7 +153,8 @@ def search(
             break
         found.accept(term)
         found.fit = term.fit
-        found.screens.append(screen(study, term.fit.model, original, base, found.screens[0]))
+        far = term.fit.share > SMALL
+        found.screens.append(screen(study, term.fit.model, original, base, found.screens[0], far))
     _eliminate(study, found)
     return found
 
@@ -164,16 +165,19 @@ def screen(
     original: Model,
     base: Base | None = None,
     first: Screen | None = None,
+    far: bool = False,
 ) -> Screen:
     """All windows against a model and the whole library; what ``original`` lacks counts as added.
 
-    A later screen keeps the variance and the weights of the ``first``.
+    A later screen keeps the variance and the weights of the ``first``. Where it is ``far`` from it, what base
+    measurements taught to expect is told by the responses here: those of cloth that crumpled, since it was too large,
+    were wild, and of a start that could do as much.
     """
     groups = (*own_groups(model, original), *library(model, study.on_body))
     columns, _ = columns_of(groups)
     looked = [Settings(model, group.name) for group in library(model, study.on_body) if settings(group.name)]
     probed = study.respond(model, columns, "screening", _Together((Probes(model), *looked)), anew={"start"})
-    if first is None and base is not None:
+    if base is not None and (first is None or far):
         probed = study.correct(probed, columns, base.correction_in(probed, columns))
     responses = picked(probed, range(len(columns)))
     variance = first.variance if first else base.variance if base else study.variance(responses)

@@ -150,15 +150,20 @@ class Study:
     def correct(
         self, responses: Sequence[Response], columns: Sequence[Column], known: Mapping[str, float]
     ) -> list[Response]:
-        """Take from residuals, in these responses and all to come, what base measurements taught to expect.
+        """Take from residuals, in these responses and all to come, what base measurements taught to expect, in place of
+        what was expected before.
 
         Args:
             columns: the first of the responses'.
             known: how much of each column, by name, stands for what mesh and solver get wrong.
         """
         change = np.array([known.get(column.name, 0.0) for column in columns])
+        before = self._expected or [np.zeros_like(response.residual) for response in responses]
         self._expected = [response.columns[..., : len(change)] @ change for response in responses]
-        return [replace(r, residual=r.residual - e) for r, e in zip(responses, self._expected, strict=True)]
+        return [
+            replace(response, residual=response.residual + old - new)
+            for response, old, new in zip(responses, before, self._expected, strict=True)
+        ]
 
     def afresh(self) -> Study:
         """The same windows, of which nothing is known yet."""

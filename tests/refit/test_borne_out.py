@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from caphy.refit.columns import Column
 from caphy.refit.evidence import Evidence, borne_out, bounded
+from caphy.refit.responses import Response
+from caphy.refit.study import Study
 
 TRUTH, RIPPLE, QUICK = 3.0, 0.02, 200.0
 """Of one number; cloth that wrinkles, by little, but anew with its every small change."""
@@ -64,3 +69,24 @@ def test_a_number_whose_curvature_has_not_grown_keeps_it() -> None:
 def test_nothing_fitted_is_left_alone() -> None:
     empty = Evidence(np.zeros((3, 0, 0)), np.zeros((3, 0)), np.ones(3), np.ones(3), np.ones(3))
     assert borne_out(empty, empty, np.zeros(0), np.zeros(0)) is empty
+
+
+def test_what_is_expected_is_told_anew_and_not_besides() -> None:
+    random, column = np.random.default_rng(1), Column("air_drag_normal", "coefficient", ())
+
+    def window(scale: float, residual: np.ndarray) -> Response:
+        columns = scale * random.normal(size=(4, 5, 3, 1))
+        seen = np.ones(4, bool)
+        return Response(0, 1, residual, seen, columns, np.zeros((4, 5, 3, 0)), np.zeros((4, 9)), seen)
+
+    residuals = [random.normal(size=(4, 5, 3)) for _ in range(2)]
+    wild, tame = ([window(scale, residual) for residual in residuals] for scale in (1e3, 1.0))
+    study = Study.__new__(Study)
+    study._expected = None
+    study.correct(wild, [column], {column.name: 0.2})
+    later = [
+        replace(r, residual=r.residual - e) for r, e in zip(tame, study._expected, strict=True)
+    ]  # as respond() does
+    for found, plain in zip(study.correct(later, [column], {column.name: 0.2}), tame, strict=True):
+        np.testing.assert_allclose(found.residual, plain.residual - 0.2 * plain.columns[..., 0], atol=1e-9)
+    np.testing.assert_array_equal(study._expected[0], 0.2 * tame[0].columns[..., 0])
