@@ -64,9 +64,9 @@ def new(command: New) -> None:
     if command.points is not None and command.points < 1:
         raise CaphyError(f"--points must be positive, got {command.points}")
     writable_folder(command.output)
-    if (command.output / "diagnosis").exists():
+    if (command.output / "diagnosis").exists() and not _is_there(command):
         raise CaphyError(
-            f"{command.output / 'diagnosis'}: belongs to an earlier challenge, and 'caphy challenge reveal' would "
+            f"{command.output / 'diagnosis'}: belongs to another challenge, and 'caphy challenge reveal' would "
             "judge it by this one; choose another folder, or remove it"
         )
     names = sorted(name for name, hidden in HIDDEN.items() if hidden.acts_in(command.scene))
@@ -101,6 +101,18 @@ def new(command: New) -> None:
         f"--held-out {listed['held_out']} -o {command.output / 'diagnosis'}\n"
         f"then: caphy challenge reveal {command.output}"
     )
+
+
+def _is_there(command: New) -> bool:
+    """Whether a folder holds the very challenge that is to be made, whose diagnosis may go on."""
+    from caphy.challenge.sealed import opened
+
+    try:
+        answer = opened(command.output)
+    except CaphyError:
+        return False
+    wanted = {"seed": command.seed, "scene": command.scene, "noise_mm": command.noise, "points": command.points}
+    return all(answer.get(key) == value for key, value in wanted.items())
 
 
 def reveal(command: Reveal) -> None:

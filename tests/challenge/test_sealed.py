@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from caphy.challenge.sealed import NAME, opened, seal
 from caphy.cli import main
-from caphy.commands.challenge import verdict
+from caphy.commands.challenge import New, _is_there, verdict
 from caphy.errors import CaphyError
 
 ANSWER = {"hidden": "pressure", "effects": {"pressure": {"pressure": 0.2}}, "outside": None, "verdict": "named",
@@ -59,8 +60,18 @@ def test_what_is_no_diagnosis_is_told(tmp_path, capsys, text):
 def test_an_earlier_diagnosis_is_not_judged_by_a_new_challenge(tmp_path, capsys):
     (tmp_path / "diagnosis").mkdir()
     assert main(["challenge", "new", "--seed", "1", "-o", str(tmp_path)]) == 2
-    assert "belongs to an earlier challenge" in capsys.readouterr().err
+    assert "belongs to another challenge" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["diagnosis"]
+
+
+def test_the_same_challenge_made_again_keeps_its_diagnosis(tmp_path):
+    this = New(seed=1, output=tmp_path)
+    assert not _is_there(this)
+    text, _ = seal({"seed": 1, "scene": "square", "noise_mm": 1.0, "points": None})
+    (tmp_path / NAME).write_text(text)
+    assert _is_there(this)
+    for other in (replace(this, seed=2), replace(this, points=2500), replace(this, scene="skirt")):
+        assert not _is_there(other)
 
 
 def test_noise_must_be_a_number(tmp_path, capsys):
