@@ -20,9 +20,9 @@ from caphy.challenge.planes import ContactPlanes, MovingBody
 from caphy.challenge.rates import bending_rates, slowed
 from caphy.effects.base import BodyState, Effect, Step
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import Bound, kernel_of
+from caphy.effects.compiled import Bound
 from caphy.effects.model import Model
-from caphy.effects.potential import Potential
+from caphy.effects.potential import Potential, kernel_of
 from caphy.errors import CaphyError
 from caphy.solve.integrators import State
 

@@ -16,9 +16,9 @@ from torch import Tensor
 
 from caphy.effects.base import BodyState, Effect, Step, companions
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import KERNELS, kernel_of
+from caphy.effects.compiled import KERNELS
 from caphy.effects.model import Model, ParameterValues
-from caphy.effects.potential import Potential
+from caphy.effects.potential import Potential, kernel_of
 from caphy.effects.registry import find_effect
 from caphy.effects.trial import DT, Moment, flat_cloth, irregular_cloth, moment, pleated_cloth
 from caphy.effects.units import dimensions

@@ -18,12 +18,12 @@ from caphy.effects.base import BodyState, Effect, Elements, Step
 from caphy.effects.bending import Bending
 from caphy.effects.bending_damping import BendingDamping
 from caphy.effects.body_contact import BodyContact
-from caphy.effects.compiled import Bound, kernel_of
+from caphy.effects.compiled import Bound
 from caphy.effects.gravity import Gravity
 from caphy.effects.hinge import Hinge
 from caphy.effects.inertia import Inertia
 from caphy.effects.membrane import Deformation, Membrane
-from caphy.effects.potential import Potential, Term
+from caphy.effects.potential import Potential, Term, kernel_of
 from caphy.effects.strain_stvk import StrainStVK
 
 COMPILED: Mapping[type[Effect], Callable | None] = {
@@ -35,7 +35,7 @@ COMPILED: Mapping[type[Effect], Callable | None] = {
     BodyContact: block_kernels.body_contact,
     Gravity: None,
 }
-"""Loops that add the Hessians of effects, called with what :data:`caphy.effects.compiled.kernel_of` says; None where
+"""Loops that add the Hessians of effects, called with what :data:`caphy.effects.potential.kernel_of` says; None where
 there is nothing to add."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from caphy.effects import kernels
 from caphy.effects.attachment import Attachment
-from caphy.effects.base import HISTORY, BodyState, Effect, Elements, Step, Values
+from caphy.effects.base import BodyState, Effect, Step, Values
 from caphy.effects.bending import Bending, bending_stiffness
 from caphy.effects.bending_damping import BendingDamping, damping_stiffness
 from caphy.effects.bending_measured import BendingMeasured, stiffness_nodes
@@ -23,7 +23,6 @@ from caphy.effects.gravity import Gravity
 from caphy.effects.inertia import Inertia
 from caphy.effects.strain_measured import StrainMeasured, directed
 from caphy.effects.strain_stvk import StrainStVK
-from caphy.effects.trial import irregular_cloth, moment
 
 
 @dataclass(frozen=True)
@@ -98,47 +97,7 @@ KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments]] = {
     BodyContact: _body_contact,
     Attachment: _attachment,
 }
-"""The effects that have a kernel; use :func:`kernel_of`, which asks whether it still is theirs."""
-
-
-@cache
-def kernel_of(effect: type[Effect]) -> Callable[[Bound], Arguments] | None:
-    """The kernel of an effect; None where there is none or where the effect's file says something else by now.
-
-    The file of an effect rules. Whoever changes its formula gets what the formula says, more slowly, until the kernel
-    is changed too; ``caphy effects check`` tells.
-    """
-    kernel = KERNELS.get(effect)
-    return kernel if kernel is not None and _same(effect(), kernel) else None
-
-
-def _same(effect: Effect, kernel: Callable[[Bound], Arguments]) -> bool:
-    """Whether a kernel computes what an effect does, tried on a small shaken cloth."""
-    cloth = irregular_cloth()
-    at = moment(cloth)
-
-    def tensor(value: object) -> Tensor:
-        return torch.as_tensor(value, dtype=torch.float64)
-
-    index = torch.as_tensor(effect.index(cloth), dtype=torch.int64)
-    rest = {key: tensor(value) for key, value in effect.rest(cloth).items()}
-    values = {key: tensor(parameter.default) for key, parameter in effect.parameters.items()}
-    energy, gradient = torch.zeros((), dtype=torch.float64), torch.zeros_like(at.x)
-    accumulate(kernel(Bound(index, rest, values, at.step, at.body)), at.x, energy, gradient)
-
-    def gathered(field: Tensor) -> Tensor:
-        return field[index.T].movedim(-1, 1)
-
-    body = {field.name: gathered(getattr(at.body, field.name))[0] for field in fields(BodyState)}
-    origin, target, lagged, velocity = (gathered(getattr(at.step, key)) for key in HISTORY)
-    history = at.step.dt, origin, target, lagged, velocity, at.step.time
-    elements = Elements(gathered(at.x), rest, *history, body=body)
-    of_each, forces = effect.gradient(elements, values)
-    wanted = torch.zeros_like(at.x).index_add_(0, index.T.reshape(-1), forces.movedim(1, -1).reshape(-1, 3))
-    energies = of_each.sum(), effect.energy(elements, values).sum()
-    return all(torch.allclose(energy, other, rtol=1e-9, atol=0) for other in energies) and bool(
-        (gradient - wanted).abs().max() <= 1e-9 * wanted.abs().max()
-    )
+"""The effects that have a kernel; :func:`caphy.effects.potential.kernel_of` asks whether it still is theirs."""
 
 
 def accumulate(arguments: Arguments, x: Tensor, energy: Tensor, gradient: Tensor) -> None:

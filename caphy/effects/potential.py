@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,10 @@ from torch import Tensor
 
 from caphy.effects.base import HISTORY, BodyState, Effect, Elements, Step, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import Bound, accumulate, kernel_of
+from caphy.effects.compiled import KERNELS, Arguments, Bound, accumulate
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
+from caphy.effects.trial import irregular_cloth, moment
 from caphy.errors import CaphyError
 from caphy.recorded import Recorded
 
@@ -289,3 +290,29 @@ class _Loss(torch.autograd.Function):
     def backward(ctx, *upstream: Tensor):
         (gradient,) = ctx.saved_tensors
         return upstream[0][..., None, None] * gradient, None, None, None
+
+
+@cache
+def kernel_of(effect: type[Effect]) -> Callable[[Bound], Arguments] | None:
+    """The kernel of an effect; None where there is none or where the effect's file says something else by now.
+
+    The file of an effect rules. Whoever changes its formula gets what the formula says, more slowly, until the kernel
+    is changed too; ``caphy effects check`` tells.
+    """
+    kernel = KERNELS.get(effect)
+    return kernel if kernel is not None and _same(effect.name, kernel) else None
+
+
+def _same(name: str, kernel: Callable[[Bound], Arguments]) -> bool:
+    """Whether a kernel computes what an effect does, tried on a small shaken cloth."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth), Potential(Model(cloth.density, {name: {}}), cloth)
+    ((_, term, elements),) = potential.acting(at.x, at.step, at.body)
+    energy, gradient = at.x.new_zeros(()), torch.zeros_like(at.x)
+    accumulate(kernel(Bound(term.index, term.rest, term.values, at.step, at.body)), at.x, energy, gradient)
+    of_each, forces = term.effect.gradient(elements, term.values)
+    wanted = term.scatter(forces).movedim(0, -1)
+    energies = of_each.sum(), term.effect.energy(elements, term.values).sum()
+    return all(torch.allclose(energy, other, rtol=1e-9, atol=0) for other in energies) and bool(
+        (gradient - wanted).abs().max() <= 1e-9 * wanted.abs().max()
+    )

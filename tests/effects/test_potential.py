@@ -13,10 +13,10 @@ from caphy.effects import potential as potential_module
 from caphy.effects.base import companions
 from caphy.effects.battery import kernel_agrees
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import KERNELS, kernel_of
+from caphy.effects.compiled import KERNELS
 from caphy.effects.gravity import Gravity
 from caphy.effects.model import Model
-from caphy.effects.potential import Potential
+from caphy.effects.potential import Potential, kernel_of
 from caphy.effects.presets import fabric_model, snug_model
 from caphy.effects.registry import find_effect, registered_effects
 from caphy.effects.trial import flat_cloth, irregular_cloth, moment, pleated_cloth
