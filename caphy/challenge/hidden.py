@@ -15,7 +15,7 @@ from caphy.effects.registry import find_effect
 Verdict = Literal["named", "nothing", "parameters", "none of these"]
 
 FORCED: Mapping[str, float] = {"tshirt": 4.0}
-"""How much stronger forces must be to move a scene's cloth by centimetres: a shirt lies on shoulders and arms."""
+"""How much stronger forces are hidden where cloth lies on shoulders and arms: a drag moves a shirt by 1 to 2 cm."""
 
 
 @dataclass(frozen=True)
