@@ -144,7 +144,8 @@ def diagnose(
     began = time.perf_counter()
     if not measurements:
         raise CaphyError("give at least one measurement to diagnose")
-    require_one_cloth(diagnosed=measurements, base=() if isinstance(base, Base) else base, held_out=held_out)
+    trusted = () if isinstance(base, Base) else base
+    require_one_cloth(diagnosed=measurements, base=trusted, held_out=held_out)
     every = (*measurements, *held_out)
     scenes = checked_scenes(every, model, garment, body, progress, crew)
     study = Study(scenes[: len(measurements)], progress=progress, crew=crew)
@@ -168,7 +169,7 @@ def diagnose(
     settle_laws(study, found, apart)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     concluded = _concluded(found, study, start, known, apart, elsewhere)
-    doubts = filter(None, map(overstated, measurements))
+    doubts = filter(None, map(overstated, (*measurements, *trusted, *held_out)))
     return replace(concluded, notes=(*concluded.notes, *doubts), seconds=time.perf_counter() - began)
 
 

@@ -84,6 +84,18 @@ def batch_equals_loop(name: str) -> None:
             _close(hessian[..., i, j, :].expand_as(wanted), wanted, f"Hessian of frame {i, j}", 1e-12)
 
 
+def elements_are_their_own(name: str) -> None:
+    """Where other elements are moved, an element keeps its energy: a Hessian is made of elements one by one."""
+    cloth = irregular_cloth()
+    at, potential = moment(cloth), _potential(name, cloth)
+    (_, term, elements), *_ = potential.acting(at.x, at.step, at.body)
+    moved = elements.x.clone()
+    moved[..., ::2] += 0.01 * torch.sin(torch.arange(float(moved[..., ::2].numel()))).reshape(moved[..., ::2].shape)
+    before = term.effect.energy(elements, term.values)[..., 1::2]
+    after = term.effect.energy(replace(elements, x=moved), term.values)[..., 1::2]
+    _close(after, before, "energy of elements that stay where they are while others move", 1e-12)
+
+
 def single_precision(name: str) -> None:
     """float32 stays near float64."""
     cloth = irregular_cloth()
@@ -390,6 +402,7 @@ CHECKS: tuple[Callable[[str], None], ...] = (
     documented,
     finite,
     batch_equals_loop,
+    elements_are_their_own,
     single_precision,
     kernel_agrees,
     gradient_is_slope,

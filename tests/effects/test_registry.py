@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from caphy.effects import registry
-from caphy.effects.battery import CHECKS
+from caphy.effects.battery import CHECKS, elements_are_their_own
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect, register_file, registered_effects
@@ -60,6 +60,16 @@ def test_a_users_effect_passes_the_battery_on_its_energy_alone(wind: str) -> Non
                 check(wind)
         else:
             check(wind)
+
+
+def test_an_energy_that_couples_elements_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wind that is slowed by all of the cloth together has no Hessian made of elements one by one."""
+    monkeypatch.setattr(registry, "_from_files", {})
+    path = tmp_path / "my_wind.py"
+    path.write_text(WIND.replace("slip = v -", "slip = v - 0.5 * v.mean(-1, keepdim=True) -"))
+    register_file(path)
+    with pytest.raises(AssertionError, match="elements that stay where they are while others move: off by"):
+        elements_are_their_own("my_wind")
 
 
 def test_a_users_effect_is_listed_and_modelled(wind: str) -> None:
