@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from caphy.commands.compare import Progress, _write_text
+from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
+
+if TYPE_CHECKING:
+    from caphy.challenge.world import World
 
 
 @dataclass(frozen=True)
@@ -54,9 +58,7 @@ def new(command: New) -> None:
     import numpy as np
 
     from caphy.challenge.hidden import HIDDEN
-    from caphy.challenge.sealed import NAME, seal
     from caphy.challenge.world import make
-    from caphy.io.measurements import write_measurement
     from caphy.processes import cores
 
     if not 0 <= command.noise < float("inf") or command.seed < 0:
@@ -71,16 +73,26 @@ def new(command: New) -> None:
         )
     names = sorted(name for name, hidden in HIDDEN.items() if hidden.acts_in(command.scene))
     hidden = HIDDEN[names[int(np.random.default_rng([command.seed, 7]).integers(len(names)))]]
-    with Progress("simulating") as progress:
-        world = make(
-            command.scene,
-            hidden,
-            command.seed,
-            noise_mm=command.noise,
-            points=command.points,
-            processes=cores(),
-            progress=lambda done, total: progress("motions", done, total),
-        )
+    with unfinished(command.output / UNFINISHED) as films:
+        with Progress("simulating") as progress:
+            world = make(
+                command.scene,
+                hidden,
+                command.seed,
+                noise_mm=command.noise,
+                points=command.points,
+                cache=films,
+                processes=cores(),
+                progress=lambda done, total: progress("motions", done, total),
+            )
+        _written(command, world)
+
+
+def _written(command: New, world: World) -> None:
+    """Write a challenge, and say what comes next."""
+    from caphy.challenge.sealed import NAME, seal
+    from caphy.io.measurements import write_measurement
+
     command.output.mkdir(parents=True, exist_ok=True)
     parts = {"train": world.train, "base": world.base, "held_out": world.held_out}
     paths: dict[str, list[str]] = {part: [] for part in parts}

@@ -13,8 +13,8 @@ from caphy.errors import CaphyError
 UNFINISHED = "unfinished"
 """Name of that folder in a folder of results; beside a file, the ending of its name."""
 
-_OURS = re.compile(r"[0-9a-f]{64}\.npz")
-"""How names begin of what :class:`caphy.kept.Kept` writes, and while it does."""
+_OURS = re.compile(r"([0-9a-f]{64}|[a-z]+-[a-z_]+-\d+-[0-9a-f]{20})\.npz")
+"""How names begin of what :class:`caphy.kept.Kept` writes and of films of a challenge, and while they are written."""
 
 
 @contextmanager

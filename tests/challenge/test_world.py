@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from caphy.challenge.hidden import HIDDEN
 from caphy.challenge.recording import record
 from caphy.challenge.square import square
 from caphy.challenge.world import _films, make
+from caphy.commands.unfinished import unfinished
 from caphy.errors import CaphyError
 
 
@@ -43,3 +45,20 @@ def test_a_film_is_not_taken_from_the_cache_for_another_mesh(tmp_path, monkeypat
     for each in (stage, stage, other, other):
         record(each, each.plays[0], HIDDEN["nothing"], 3, 3, tmp_path)
     assert simulated == [stage, other]
+
+
+def test_films_of_a_challenge_that_was_stopped_wait_and_go_when_it_is_made(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("caphy.challenge.recording._simulated", lambda stage, play, hidden, frames: np.zeros((1, 1, 3)))
+    stage, folder = square(3, 3, False), tmp_path / "unfinished"
+
+    def filmed(folder: Path) -> None:
+        for play in stage.plays:
+            record(stage, play, HIDDEN["nothing"], 3, 3, folder)
+
+    with pytest.raises(KeyboardInterrupt), unfinished(folder) as films:
+        filmed(films)
+        raise KeyboardInterrupt
+    assert len(list(folder.iterdir())) == len(stage.plays)
+    with unfinished(folder) as films:
+        filmed(films)
+    assert not folder.exists()
