@@ -22,8 +22,10 @@ from torch import Tensor
 from caphy.effects.base import HISTORY, BodyState, Elements, Step
 from caphy.effects.inertia import Inertia
 from caphy.effects.potential import Potential, Term, planes
+from caphy.measure.mesh_body import MeshBody
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, forces
+from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import Integrator, Solve, State
 from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
@@ -38,17 +40,18 @@ Pushes = Callable[[Tensor, Step, BodyState | None], Tensor]
 
 @dataclass(frozen=True)
 class Stage:
-    """One minimisation of a roll-out: its step and its minimiser (V, 3) [m]."""
+    """One minimisation of a roll-out: its step, its minimiser (V, 3) [m], and what that sees of the body."""
 
     step: Step
     x: Tensor
+    body: BodyState | None
 
 
 class Recorder:
     """An integrator that keeps the stages it went through."""
 
-    def __init__(self, integrator: Integrator) -> None:
-        self.integrator, self.order = integrator, integrator.order
+    def __init__(self, integrator: Integrator, motion: BodyMotion | MeshBody | None = None) -> None:
+        self.integrator, self.motion, self.order = integrator, motion, integrator.order
         self.stages: list[Stage] = []
 
     def advance(self, state: State, dt: float, solve: Solve) -> State:
@@ -56,7 +59,9 @@ class Recorder:
 
         def kept(step: Step, time: float) -> Tensor:
             x = solve(step, time)
-            self.stages.append(Stage(replace(step, pressed=x), x))
+            # Asked for now, while the motion remembers that moment's body and most of the points nearest on it.
+            body = None if self.motion is None else self.motion.state(time, x.numpy(), step.dt)
+            self.stages.append(Stage(replace(step, pressed=x), x, body))
             return x
 
         return self.integrator.advance(state, dt, kept)
@@ -96,7 +101,7 @@ class Tangents:
     ) -> np.ndarray:
         """Changes of the positions in each frame (frames + 1, K + N, V, 3) per unit of each column, start included."""
         dt = 1 / self.scene.measurement.fps
-        pushes, bodies = self._pushes(stages), self._bodies(stages)
+        pushes = self._pushes(stages)
         zeros = torch.zeros_like(pushes[0])
         state = State(0.0, zeros, zeros)
         if start is not None:
@@ -107,7 +112,7 @@ class Tangents:
 
         def solve(change: Step, time: float) -> Tensor:
             i = next(place)
-            return self._solved(stages[i], bodies[i], pushes[i], change)
+            return self._solved(stages[i], pushes[i], change)
 
         found = [state.x.numpy()]
         for _ in range(frames):
@@ -116,17 +121,18 @@ class Tangents:
             found.append(state.x.numpy())
         return np.stack(found)
 
-    def _solved(self, stage: Stage, body: BodyState | None, push: Tensor, change: Step) -> Tensor:
-        right = self._of_history(stage, body, change)
+    def _solved(self, stage: Stage, push: Tensor, change: Step) -> Tensor:
+        right = self._of_history(stage, change)
         right[: len(push)] += push
         right = (right * self._free).permute(1, 2, 0).contiguous().numpy()  # (V, 3, K)
+        body = stage.body
         factor = self.newton.factorize(stage.x, stage.step, None if body is None else lambda _: body)
         return torch.from_numpy(-factor.solve(right)).permute(2, 0, 1).contiguous()
 
-    def _of_history(self, stage: Stage, body: BodyState | None, change: Step) -> Tensor:
+    def _of_history(self, stage: Stage, change: Step) -> Tensor:
         """Change of the model's gradient (K, V, 3) with the step's history."""
         total = torch.zeros_like(change.target)
-        for name, term, elements in self.newton.potential.acting(stage.x, stage.step, body):
+        for name, term, elements in self.newton.potential.acting(stage.x, stage.step, stage.body):
             if isinstance(term.effect, Inertia):
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
             elif (term.effect.needs_step or term.effect.reads_step) and len(total) > _FEW:
@@ -140,12 +146,6 @@ class Tangents:
                 total += _along_history(term, elements, change)
         return total
 
-    def _bodies(self, stages: Sequence[Stage]) -> list[BodyState | None]:
-        motion = self.scene.motion
-        if motion is None:
-            return [None] * len(stages)
-        return [motion.state(float(s.step.time), s.x.numpy(), s.step.dt) for s in stages]
-
     def _pushes(self, stages: Sequence[Stage]) -> list[Tensor]:
         """What each column adds to the gradient in each stage, (K, V, 3) each; all stages at once."""
         if not self.columns and self.pushes is None:
@@ -154,7 +154,7 @@ class Tangents:
         times = torch.tensor([float(s.step.time) for s in stages], dtype=torch.float64)[:, None]
         x = torch.stack([s.x for s in stages])
         step = Step(stages[0].step.dt, **fields, time=times, pressed=x)
-        bodies = [body for body in self._bodies(stages) if body is not None]
+        bodies = [stage.body for stage in stages if stage.body is not None]
         body = None
         if bodies:
             body = BodyState(*(torch.stack([getattr(b, name) for b in bodies]) for name in vars(bodies[0])))
@@ -219,5 +219,5 @@ def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_arra
 
 def recorded_simulator(scene: Scene, newton: Newton, integrator: Integrator) -> tuple[Simulator, Recorder]:
     """A simulator of a scene that keeps its stages."""
-    recorder = Recorder(integrator)
+    recorder = Recorder(integrator, scene.motion)
     return Simulator(newton, scene.motion, recorder, scene.pins), recorder  # type: ignore[arg-type]
