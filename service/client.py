@@ -32,13 +32,15 @@ class Client:
     Every method raises CaphyError with the service's own words where it refuses, or where it cannot be reached.
     """
 
-    def __init__(self, url: str, timeout: float = 60.0) -> None:
+    def __init__(self, url: str, timeout: float = 60.0, key: str | None = None) -> None:
+        """``key``: one of the service's keys, where it wants one."""
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise CaphyError(f"a service's address is like http://127.0.0.1:8000, got {url!r}")
         kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
         self._connection = kind(parts.hostname, parts.port, timeout=timeout)
         self._url = url
+        self._headers = {} if key is None else {"x-api-key": key.encode()}
         self._told = ""
         self.server_timing: dict[str, float] = {}
         """Milliseconds the service spent on the last :meth:`run`: parse, infer, encode."""
@@ -106,7 +108,7 @@ class Client:
     def _ask(self, method: str, path: str, body: bytes | None = None) -> bytes:
         headers = {"accept": "application/json"} if body is None else {"content-type": MEDIA_TYPE, "accept": MEDIA_TYPE}
         try:
-            self._connection.request(method, path, body, headers)
+            self._connection.request(method, path, body, headers | self._headers)
             response = self._connection.getresponse()
             content = response.read()
         except (OSError, HTTPException) as error:

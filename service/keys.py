@@ -30,7 +30,7 @@ class RequireKey:
 
     def __init__(self, app: ASGIApp, keys: Sequence[str], public: tuple[str, ...] = ()) -> None:
         self._app = app
-        self._keys = [key.encode() for key in keys]
+        self._keys = [encoded for key in keys for encoded in _as_sent(key)]
         self._public = public
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -41,7 +41,7 @@ class RequireKey:
             headers = {"www-authenticate": "Bearer"}
             return await problem_response(401, UNAUTHORISED, headers, scope["path"])(scope, receive, send)
         if scope["type"] == "websocket" and not self._knows(scope):
-            return await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": UNAUTHORISED[:120]})
+            return await _turned_away(scope, receive, send)
         return await self._app(scope, receive, send)
 
     def _is_public(self, path: str) -> bool:
@@ -56,6 +56,19 @@ class RequireKey:
             offered += [_decoded(name) for name in scope.get("subprotocols", ()) if name.startswith(KEY_SUBPROTOCOL)]
         matches = [hmac.compare_digest(key, known) for key in offered for known in self._keys]
         return any(matches)  # of a list: all are compared, whichever matches
+
+
+def _as_sent(key: str) -> set[bytes]:
+    """A key as clients send it: some write headers as UTF-8, others as Latin-1."""
+    return {key.encode()} | ({key.encode("latin-1")} if max(map(ord, key), default=0) < 256 else set())
+
+
+async def _turned_away(scope: Scope, receive: Receive, send: Send) -> None:
+    """Accept a WebSocket and close it: one that is refused before tells a browser neither a code nor a reason."""
+    await receive()
+    chosen = SUBPROTOCOL if SUBPROTOCOL in scope.get("subprotocols", ()) else None
+    await send({"type": "websocket.accept", "subprotocol": chosen})
+    await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": UNAUTHORISED[:120]})
 
 
 class Subprotocol:

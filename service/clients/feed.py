@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import connect
 
 from caphy.errors import CaphyError
-from service.clients.stream import StreamRefused, web_socket
+from service.clients.stream import FINAL, refusal, web_socket
 from service.stream.messages import Poses, Rate, Reset, encode_client
 
 
@@ -70,7 +70,7 @@ class FeedClient:
 
     def _reason(self, closed: ConnectionClosed) -> CaphyError:
         """Why the service closed: it says so before, in a message of its own."""
-        code = closed.rcvd.code if closed.rcvd else 1006
-        if code < 4000:
-            return CaphyError(f"{self._address}: the service has gone ({code})")
-        return StreamRefused(code - 4000, closed.rcvd.reason if closed.rcvd else "")
+        said = closed.rcvd
+        if said is not None and (said.code >= 4000 or said.code in FINAL):
+            return refusal(said)
+        return CaphyError(f"{self._address}: the service has gone ({said.code if said else 1006})")

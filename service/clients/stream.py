@@ -17,6 +17,7 @@ from urllib.parse import quote, urlsplit, urlunsplit
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.frames import Close
 from websockets.sync.client import ClientConnection, connect
 
 from caphy.errors import CaphyError
@@ -226,8 +227,7 @@ class StreamClient:
             self._reconnect(closed)
 
     def _reconnect(self, closed: ConnectionClosed) -> None:
-        if closed.rcvd is not None and closed.rcvd.code in FINAL:
-            raise StreamRefused(closed.rcvd.code - 4000 if closed.rcvd.code >= 4000 else 403, closed.rcvd.reason)
+        _require_not_final(closed)
         self.reconnections += 1
         self._socket = self._connect()
         for message in self._unsaved:
@@ -255,12 +255,25 @@ class StreamClient:
                 if refused.code not in (429, 503) or time.monotonic() > end:
                     raise
             except (OSError, ConnectionClosed, InvalidHandshake, TimeoutError) as error:
+                _require_not_final(error)
                 if time.monotonic() > end or _is_denied(error):
                     raise CaphyError(
                         f"{self._address}: no stream ({error}); is 'caphy serve' running there?"
                     ) from error
             time.sleep(wait)
             wait = min(1.0, 2 * wait)
+
+
+def _require_not_final(error: Exception) -> None:
+    """Raise StreamRefused where the service closed with words that a new connection would hear again."""
+    said = error.rcvd if isinstance(error, ConnectionClosed) else None
+    if said is not None and said.code in FINAL:
+        raise refusal(said) from error
+
+
+def refusal(said: Close) -> StreamRefused:
+    """What a service closes with, as the error that it is."""
+    return StreamRefused(said.code - 4000 if said.code >= 4000 else 403, said.reason)
 
 
 def _is_denied(error: Exception) -> bool:

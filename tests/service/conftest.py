@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import uvicorn
 from fastapi.testclient import TestClient
+from loopback import live
 from shell_avatar import shell_avatar, wiggle
 
 from caphy.io.bundle import AvatarBundle, write_bundle
@@ -44,14 +42,5 @@ def motion() -> PoseSequence:
 
 @pytest.fixture(scope="session")
 def url(avatars: Path) -> Iterator[str]:
-    """A live uvicorn on a free loopback port."""
-    server = uvicorn.Server(uvicorn.Config(create_app(Settings(avatars=avatars)), port=0, log_level="warning"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    deadline = time.monotonic() + 30
-    while not server.started:
-        assert time.monotonic() < deadline and thread.is_alive()
-        time.sleep(0.02)
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
-    server.should_exit = True
-    thread.join(timeout=10)
+    with live(Settings(avatars=avatars)) as address:
+        yield address

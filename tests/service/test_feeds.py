@@ -136,8 +136,8 @@ def test_several_workers_have_no_feeds(avatars):
 def test_a_service_with_keys_asks_for_one_at_both_ends(avatars, end):
     key = "a-key-that-is-long-enough"
     with TestClient(create_app(Settings(avatars=avatars, api_key=key))) as http:
-        with pytest.raises(WebSocketDisconnect), http.websocket_connect(f"/avatars/shell/feeds/door{end}"):
-            pass
+        with http.websocket_connect(f"/avatars/shell/feeds/door{end}") as socket, pytest.raises(WebSocketDisconnect):
+            socket.receive_bytes()
         with http.websocket_connect(f"/avatars/shell/feeds/door{end}", headers={"authorization": f"Bearer {key}"}):
             pass
 

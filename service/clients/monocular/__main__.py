@@ -62,7 +62,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace) -> int:
     video = Video(options.video)
     bundle = read_bundle(options.bundle)
-    avatar = _served(options.service, bundle)
+    avatar = _served(options.service, bundle, options.key)
     focal = options.focal or float(np.hypot(*video.size))
     if not 50 < focal < 1e5:
         raise CaphyError(
@@ -96,9 +96,9 @@ def _wardrobe(options: argparse.Namespace, avatar: str, bundle: AvatarBundle) ->
     return LiveWardrobe(feed, bundle, drawn)
 
 
-def _served(url: str, bundle: AvatarBundle) -> str:
+def _served(url: str, bundle: AvatarBundle, key: str | None = None) -> str:
     """The id under which the service serves this bundle."""
-    offered = Client(url).avatars()
+    offered = Client(url, key=key).avatars()
     garments = {garment.name: len(garment.mesh.vertices) for garment in bundle.garments}
     for avatar in offered:
         if {garment["name"]: garment["vertices"] for garment in avatar["garments"]} == garments:

@@ -80,8 +80,8 @@ class RequestWardrobe:
 
     name = "requests"
 
-    def __init__(self, url: str, avatar: str, fps: float) -> None:
-        self._client, self._avatar, self._fps = Client(url), avatar, fps
+    def __init__(self, url: str, avatar: str, fps: float, key: str | None = None) -> None:
+        self._client, self._avatar, self._fps = Client(url, key=key), avatar, fps
         self._states: dict[str, np.ndarray] | None = None
 
     def wear(self, frames: list[Frame]) -> list[dict[str, np.ndarray]]:
@@ -116,8 +116,8 @@ def open_wardrobe(url: str, avatar: str, fps: float, key: str | None = None) -> 
     except StreamRefused:
         raise
     except CaphyError:
-        wardrobe = RequestWardrobe(url, avatar, fps)
-        Client(url).avatars()  # raises where the service is not there either
+        wardrobe = RequestWardrobe(url, avatar, fps, key)
+        Client(url, key=key).avatars()  # raises where the service is not there either
         return wardrobe
 
 
