@@ -13,13 +13,17 @@ ASIDE = (
     "collision",
     "depth",
     "diagnosis",
+    "diagnosis_picture",
     "fabric",
+    "girths",
     "monocular",
     "newton",
     "papertable",
     "register",
+    "relaxed",
     "screening",
     "segmentation",
+    "solver_floor",
     "supervised",
 )
 """These take long or need arguments; run only by name, by themselves or by a target of their own."""

@@ -37,7 +37,7 @@ def float16(head: Head) -> Head:
 
 def int8(head: Head) -> Head:
     """The large factor in 127 steps to each side, of a size of its own for every blend shape."""
-    step = np.abs(head.expand).max(axis=0) / 127
+    step = np.maximum(np.abs(head.expand).max(axis=0), 1e-30) / 127  # a blend shape may be nothing at all
     return replace(head, expand=np.rint(head.expand / step) * step)
 
 

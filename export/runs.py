@@ -81,7 +81,7 @@ def _measured(folder: Path) -> dict[str, Any]:
     if wrong:
         raise CaphyError(
             f"{path}: what was measured on held-out motions must be finite, {wrong[0]} is not; the training came to "
-            "nothing. Check the garment with 'caphy garment check' and the model's parameters, and train again"
+            "nothing. Check the garment with 'caphy garment info' and the model's parameters, and train again"
         )
     beside = _json(folder / VALIDATION)
     return last | ({"beside_solver": beside} if beside else {})

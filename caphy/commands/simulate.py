@@ -93,7 +93,7 @@ def _simulate(command: Simulate, kept: Kept) -> None:
     if command.render is not None:
         print(_sheet(command.render, trajectory, motion))
     else:
-        print(f"next: look at it with 'caphy simulate {command.garment} {command.poses} --render sheet.png'")
+        print("next: the same command with --render sheet.png pictures it")
 
 
 def _show(bar, done: int) -> None:

@@ -12,7 +12,7 @@ import caphy
 from caphy.conventions import BODY_JOINT_COUNT
 
 STATISTICS: Final = Path(caphy.__file__).parent / "data" / "pose_statistics.npz"
-"""Mean and covariance of the 21 body joints' rotation vectors over 30 CMU clips, left and right alike."""
+"""Mean and covariance of the 21 body joints' rotation vectors over 26 CMU clips, left and right alike."""
 OTHER: Final = np.radians(8.0)
 """Added to the spread of every angle: there are other postures than those of the clips [rad]."""
 MOST: Final = 350.0

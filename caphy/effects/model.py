@@ -126,7 +126,7 @@ class Model:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise CaphyError(
                 f"{source}: not a physics model ({type(error).__name__}: {error}); it must be JSON with "
-                '"density_kg_per_m2": number and "effects": {name: {parameter: value}}; see caphy effects show'
+                '"density_kg_per_m2": number and "effects": {name: {parameter: value}}; see caphy effects list'
             ) from error
         except CaphyError as error:
             raise CaphyError(f"{source}: {error}") from error

@@ -20,7 +20,7 @@ from caphy.conventions import BODY_JOINT_COUNT, JOINT_NAMES
 from caphy.garment.template import read_npz, write_npz
 
 PATH = Path(__file__).parent.parent / "data" / "pose_statistics.npz"
-"""The bundled statistics: 30 clips of the CMU motion capture database, retargeted."""
+"""The bundled statistics: 26 clips of the CMU motion capture database, retargeted."""
 FRAMES_A_CLIP = 200
 NAMES = JOINT_NAMES[1:BODY_JOINT_COUNT]
 

@@ -173,7 +173,7 @@ class Trainer:
         if not torch.isfinite(torch.stack([value.sum() for value in values]).sum()):  # asked once: a GPU is waited for
             raise CaphyError(
                 f"step {self.progress.step + 1}: the prediction, its potential or the gradient is not finite. The last "
-                f"good checkpoint is kept in {self.folder}; check the garment with 'caphy garment check' and the "
+                f"good checkpoint is kept in {self.folder}; check the garment with 'caphy garment info' and the "
                 "model's parameters, then go on with --resume"
             )
 

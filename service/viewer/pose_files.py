@@ -77,7 +77,7 @@ def _read(path: Path, name: str, fps: float | None) -> PoseSequence:
     try:
         sequence = read_poses(path, fps=fps)
     except CaphyError as error:
-        said = str(error).replace(str(path), name).replace(" with --fps", "")
+        said = str(error).replace(str(path), name).replace(" with 'caphy poses convert --fps RATE'", "")
         raise Problem(422, said) from error
     except DAMAGE as error:
         raise Problem(422, f"{name}: cannot be read as a pose file ({type(error).__name__})") from error

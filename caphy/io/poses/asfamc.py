@@ -32,7 +32,9 @@ def read_amc(path: Path, fps: float | None, skeleton: Path | None = None) -> Ske
     """
     path = Path(path)
     if fps is None:
-        raise CaphyError(f"{path}: AMC files do not say their frame rate; give it with --fps (CMU recorded at 120)")
+        raise CaphyError(
+            f"{path}: AMC files do not say their frame rate; give it with 'caphy poses convert --fps RATE' (CMU: 120)"
+        )
     bones, parents = _read_asf(skeleton or _skeleton_beside(path))
     values = _read_values(path, bones)
     names = tuple(bones)

@@ -65,7 +65,7 @@ def _track(frames: list[dict[str, Any]], path: Path, person: int | None) -> int:
     if not counts:
         raise CaphyError(f"{path}: nobody was tracked in its {len(frames)} frames")
     if person is None and len(counts) > 1:
-        raise CaphyError(f"{path}: holds {len(counts)} tracks: {listed}; choose with --person")
+        raise CaphyError(f"{path}: holds {len(counts)} tracks: {listed}; choose with 'caphy poses convert --person'")
     person = next(iter(counts)) if person is None else person
     if person not in counts:
         raise CaphyError(f"{path}: there is no track {person}; it holds {listed}")

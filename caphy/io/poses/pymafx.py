@@ -75,7 +75,10 @@ def _rows(results: dict[str, Any], count: int, path: Path, person: int | None) -
     numbers = np.array([_person(name) for name in persons])
     found = np.unique(numbers)
     if person is None and len(found) > 1:
-        raise CaphyError(f"{path}: holds {len(found)} persons ({', '.join(map(str, found))}); choose with --person")
+        raise CaphyError(
+            f"{path}: holds {len(found)} persons ({', '.join(map(str, found))}); "
+            "choose with 'caphy poses convert --person'"
+        )
     person = int(found[0]) if person is None else person
     rows = np.flatnonzero(numbers == person)
     if not len(rows):

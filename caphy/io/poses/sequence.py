@@ -266,7 +266,7 @@ def require_rate(fps: float, where: str) -> None:
         hint = f"; is it the time of a frame, of {1 / fps:g} frames per second?" if 0 < fps < RATES[0] else ""
         raise CaphyError(
             f"{where}: fps must lie between {RATES[0]:g} and {RATES[1]:g} frames per second, got {fps:g}"
-            f"{hint or '; give the true rate with --fps'}"
+            + (hint or "; give the true rate with 'caphy poses convert --fps RATE'")
         )
 
 

@@ -65,7 +65,7 @@ def mean_betas(betas: np.ndarray, where: str) -> tuple[np.ndarray, tuple[str, ..
 def require_fps(fps: float | None, where: str, why: str) -> float:
     """The frame rate given by the user; :class:`CaphyError` asking for it where there is none."""
     if fps is None:
-        raise CaphyError(f"{where}: {why}; give the true frame rate with --fps")
+        raise CaphyError(f"{where}: {why}; give the true frame rate with 'caphy poses convert --fps RATE'")
     return fps
 
 

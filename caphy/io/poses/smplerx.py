@@ -54,7 +54,8 @@ def _files(folder: Path, person: int | None) -> tuple[dict[int, Path], int]:
         raise CaphyError(f"{folder}: holds no files named FRAME_PERSON.npz")
     if person is None and len(persons) > 1:
         raise CaphyError(
-            f"{folder}: up to {len(persons)} persons per frame, and they are not tracked; choose with --person"
+            f"{folder}: up to {len(persons)} persons per frame, and they are not tracked; "
+            "choose with 'caphy poses convert --person'"
         )
     person = persons[0] if person is None else person
     files = {frame: path for number, frame, path in found if number == person}

@@ -117,7 +117,7 @@ def _up_axis(poses: np.ndarray, where: str) -> tuple[Literal["y", "z"], tuple[st
             return axis, (f"the file does not say which axis is up; {axis}, because the trunk points there",)
     raise CaphyError(
         f"{where}: does not say which axis is up, and the trunk points to {trunk.round(2)} on average; "
-        "give it with --up y or --up z"
+        "give it with 'caphy poses convert --up y' or '--up z'"
     )
 
 

@@ -35,7 +35,10 @@ def _subject(results: Any, path: Path, person: int | None) -> tuple[dict[str, An
             "smplx_params as PyMAF-X, or {frame: {tid, smpl, ...}} as PHALP (4D-Humans)"
         )
     if person is None and len(found) > 1:
-        raise CaphyError(f"{path}: holds {len(found)} persons ({', '.join(map(str, found))}); choose with --person")
+        raise CaphyError(
+            f"{path}: holds {len(found)} persons ({', '.join(map(str, found))}); "
+            "choose with 'caphy poses convert --person'"
+        )
     key = next(iter(found)) if person is None else person
     if key not in found:
         raise CaphyError(f"{path}: there is no person {key}; it holds {', '.join(map(str, found))}")
