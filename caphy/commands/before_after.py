@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from caphy.commands.compare import Progress
+from caphy.commands.compare import Progress, predicted
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
     from caphy.effects.model import Model
     from caphy.garment.template import Garment
     from caphy.io.measurements import Measurement
+    from caphy.refit.crew import Crew
 
 
 def before_and_after(
@@ -20,26 +21,29 @@ def before_and_after(
     before: Model,
     after: Model,
     measured: Sequence[Measurement],
+    crew: Crew,
     garment: Garment | None = None,
     body: BodyModel | None = None,
 ) -> str:
-    """The heat maps of measurements before and after, as one self-contained HTML page; ``name`` is the model's."""
+    """The heat maps of measurements before and after, as one self-contained HTML page.
+
+    Args:
+        name: the model's.
+        crew: rolls out the windows.
+    """
     from caphy import __version__
     from caphy.measure.comparison import compare
     from caphy.measure.pictures import section
-    from caphy.measure.prediction import predict_in_windows
     from caphy.measure.scene import Scene
-    from caphy.measure.track import registered
     from caphy.report.page.compose import comparison_page
 
     sections = []
     for when, model in (("before", before), ("after", after)):
         for measurement in measured:
             given = replace(measurement, name=f"{measurement.name}, {when}")
+            scene = Scene.of(given, garment, body)
             with Progress(f"page, {when}") as progress:
-                scene = registered(Scene.of(given, garment, body), model, progress)
-                prediction = predict_in_windows(scene, model, progress=progress)
-            prediction = replace(prediction, registered=given.registered)
+                prediction = predicted(scene, model, progress, crew)
             sections.append(section(compare(prediction, given, scene.regions)))
     facts = {"model": name, "written by": f"caphy {__version__}"}
     added = ", ".join(effect for effect in after.effects if effect not in before.effects) or "parameters"

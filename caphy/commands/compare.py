@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -20,7 +21,12 @@ if TYPE_CHECKING:
     from caphy.io.bundle import AvatarBundle
     from caphy.io.measurements import Measurement
     from caphy.measure.comparison import Comparison
+    from caphy.measure.prediction import Prediction
+    from caphy.measure.scene import Scene
+    from caphy.refit.crew import Crew
     from caphy.report.page.compose import Section
+
+_UNFINISHED = f"{UNFINISHED}-comparison"  # the folder may hold an unfinished diagnosis too
 
 
 @dataclass(frozen=True)
@@ -54,8 +60,10 @@ def main(arguments: list[str]) -> None:
     writable_folder(command.output)
     tables = [path for path in command.measurements if path.suffix == ".csv"]
     curves = [_compared_curves(command, path) for path in tables]
-    comparisons = [_compared(command, path) for path in command.measurements if path not in tables]
-    write(comparisons, curves, f"{_title(command.model)} against {_listed(command.measurements)}", command)
+    films = [path for path in command.measurements if path not in tables]
+    title = f"{_title(command.model)} against {_listed(command.measurements)}"
+    with unfinished(command.output / _UNFINISHED) as kept:
+        write(_compared(command, films, kept), curves, title, command)
 
 
 def write(comparisons: Sequence[Comparison], curves: Sequence[dict], title: str, command: Compare) -> None:
@@ -124,31 +132,50 @@ def _compared_curves(command: Compare, path: Path) -> dict:
     return compare_curves(model, curves, path.stem, str(path))
 
 
-def _compared(command: Compare, path: Path) -> Comparison:
+def _compared(command: Compare, films: Sequence[Path], kept: Path) -> list[Comparison]:
     from caphy.effects.model import Model
     from caphy.io.measurements import read_measurement
 
-    measurement, model = read_measurement(path), load_model(command.model, command.effect_file)
+    if not films:
+        return []
+    model, measured = load_model(command.model, command.effect_file), [read_measurement(path) for path in films]
     if isinstance(model, Model):
-        return _with_physics(command, model, measurement)
-    return _with_avatar(command, model, measurement)
+        return _with_physics(command, model, measured, kept)
+    return [_with_avatar(command, model, measurement) for measurement in measured]
 
 
-def _with_physics(command: Compare, model: Model, measurement: Measurement) -> Comparison:
+def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement], kept: Path) -> list[Comparison]:
+    import torch
+
     from caphy.body.model import BodyModel
     from caphy.garment.template import Garment
     from caphy.measure.comparison import compare
-    from caphy.measure.prediction import predict_in_windows
     from caphy.measure.scene import Scene
-    from caphy.measure.track import registered
+    from caphy.refit.crew import Crew
 
+    torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
     garment = None if command.garment is None else Garment.load(command.garment)
-    scene = Scene.of(measurement, garment, None if command.body is None else BodyModel.load(command.body))
-    with Progress(measurement.name) as progress:
-        prediction = predict_in_windows(registered(scene, model, progress), model, command.window, progress)
-        prediction = replace(prediction, registered=measurement.registered)
-        progress("comparing", 1, 1)
-    return compare(prediction, measurement, scene.regions)
+    body = None if command.body is None else BodyModel.load(command.body)
+    scenes = [Scene.of(measurement, garment, body) for measurement in measured]
+    found = []
+    with Crew(command.effect_file, kept=kept) as crew:
+        for scene, measurement in zip(scenes, measured, strict=True):
+            with Progress(measurement.name) as progress:
+                prediction = predicted(scene, model, progress, crew, command.window)
+                progress("comparing", 1, 1)
+            found.append(compare(prediction, measurement, scene.regions))
+    return found
+
+
+def predicted(scene: Scene, model: Model, progress: Progress, crew: Crew, length: int = 8) -> Prediction:
+    """What a physics model says where a measurement was taken, in windows of ``length`` frames; clouds are registered
+    with its help."""
+    from caphy.measure.prediction import predict_in_windows
+    from caphy.refit.clouds import all_registered
+
+    (known,) = all_registered([scene], model, progress, crew)
+    prediction = predict_in_windows(known, model, length, progress, crew.predict)
+    return replace(prediction, registered=scene.measurement.registered)
 
 
 def _with_avatar(command: Compare, bundle: AvatarBundle, measurement: Measurement) -> Comparison:

@@ -20,6 +20,7 @@ from caphy.io.places import writable_folder
 if TYPE_CHECKING:
     from caphy.diagnose.diagnosis import Diagnosis
     from caphy.effects.model import Model
+    from caphy.refit.crew import Crew
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,13 @@ def main(arguments: list[str]) -> None:
         require_no_base(command.base)
         _diagnose_curves(command, model)
         return
-    with unfinished(command.output / UNFINISHED) as kept:
-        diagnosis = _diagnosed(command, model, kept)
+    from caphy.refit.crew import Crew
+
+    with unfinished(command.output / UNFINISHED) as kept, Crew(command.effect_file, kept=kept) as crew:
+        diagnosis = _diagnosed(command, model, crew)
         write(diagnosis, command, model)
         if command.held_out and diagnosis.verdict in ("named", "parameters"):
-            _before_after(model, diagnosis.model, command)
+            _before_after(model, diagnosis.model, command, crew)
 
 
 def require_no_base(base: tuple[Path, ...]) -> None:
@@ -82,14 +85,13 @@ def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
     return model
 
 
-def _diagnosed(command: Diagnose, model: Model, kept: Path) -> Diagnosis:
+def _diagnosed(command: Diagnose, model: Model, crew: Crew) -> Diagnosis:
     import torch
 
     from caphy.body.model import BodyModel
     from caphy.diagnose.diagnosis import diagnose
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
-    from caphy.refit.crew import Crew
 
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
     read = [
@@ -97,7 +99,7 @@ def _diagnosed(command: Diagnose, model: Model, kept: Path) -> Diagnosis:
     ]
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
-    with Progress("diagnosis") as progress, Crew(command.effect_file, kept=kept) as crew:
+    with Progress("diagnosis") as progress:
         return diagnose(model, *read, garment=garment, body=body, progress=progress, crew=crew)
 
 
@@ -164,7 +166,7 @@ def _options(options: Mapping[str, Sequence[Path]], output: Path) -> list[str]:
     return [*given, "-o", str(output)]
 
 
-def _before_after(before: Model, after: Model, command: Diagnose) -> None:
+def _before_after(before: Model, after: Model, command: Diagnose, crew: Crew) -> None:
     from caphy.body.model import BodyModel
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
@@ -173,7 +175,7 @@ def _before_after(before: Model, after: Model, command: Diagnose) -> None:
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
     page = command.output / "before_after.html"
-    _write_text(page, before_and_after(Path(command.model).stem, before, after, proof, garment, body))
+    _write_text(page, before_and_after(Path(command.model).stem, before, after, proof, crew, garment, body))
     print(f"before and after, on measurements that nothing was fitted to: {page}")
 
 

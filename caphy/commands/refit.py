@@ -17,6 +17,7 @@ from caphy.io.places import writable_file, writable_folder
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
+    from caphy.refit.crew import Crew
     from caphy.refit.refit import Refit
 
 
@@ -63,11 +64,16 @@ def main(arguments: list[str]) -> None:
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")
     writable_file(command.output)
-    with unfinished(command.output.with_suffix(f".{UNFINISHED}")) as kept:
-        _refit(command, model, kept)
+    from caphy.refit.crew import Crew
+
+    with (
+        unfinished(command.output.with_suffix(f".{UNFINISHED}")) as kept,
+        Crew(command.effect_file, kept=kept) as crew,
+    ):
+        _refit(command, model, crew)
 
 
-def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
+def _refit(command: RefitCommand, model: Model, crew: Crew) -> None:
     import torch
 
     from caphy.body.model import BodyModel
@@ -75,7 +81,6 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     from caphy.diagnose.checks import require_one_cloth
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
-    from caphy.refit.crew import Crew
     from caphy.refit.refit import addable, refit
 
     addable(model, command.add)  # before the hours that base measurements take
@@ -86,7 +91,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
     require_one_cloth(measured=measured, base=calm, held_out=proof)
-    with Progress("refit") as progress, Crew(command.effect_file, kept=kept) as crew:
+    with Progress("refit") as progress:
         learned = base_of(model, calm, garment, body, progress, crew)
         found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
     print(table(found))
@@ -106,7 +111,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     _write_text(command.output, new.to_json())
     page = command.output.with_suffix(".html")
     name = Path(command.model).stem
-    _write_text(page, before_and_after(name, model, new, (proof or measured)[:1], garment, body))
+    _write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
     print(f"\n{command.output}\n{page}")
     print(f"next: caphy train --init AVATAR --model {command.output} ...   (the network learns it)")
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -66,8 +66,83 @@ class Prediction:
     body_faces: np.ndarray | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The frames of one window without its start, which is made from the measurement.
+
+    Attributes:
+        frames: (n,).
+        positions: (n, V, 3) [m].
+        converged: (n,).
+        step_error, mesh_error, start_error: (n, V) [m], as of :class:`Prediction`.
+    """
+
+    frames: np.ndarray
+    positions: np.ndarray
+    converged: np.ndarray
+    step_error: np.ndarray
+    mesh_error: np.ndarray
+    start_error: np.ndarray
+
+
+class Windows:
+    """A measurement in windows that follow one another, in each of which a model is rolled out.
+
+    Attributes:
+        frames: at which they start.
+        checked: those in which what is not the model's is told as well.
+    """
+
+    def __init__(self, scene: Scene, model: Model, length: int = LENGTH) -> None:
+        """Raises :class:`CaphyError` where no window can start."""
+        self.scene, self._length = scene, length
+        self._potential = scene.potential(model)
+        self._starts = StartStates(scene, self._potential)
+        self.frames = window_starts(self._starts, length)
+        if not self.frames:
+            where = scene.measurement.source or scene.measurement.name
+            raise CaphyError(
+                f"{where}: no window can start: that takes three frames in a row around which half of the vertices "
+                f"were seen; {len(scene.measurement.seen_frames)} of {len(scene.measurement)} frames show anything"
+            )
+        spread = np.linspace(0, len(self.frames) - 1, min(CHECKED, len(self.frames)))
+        self.checked = frozenset(self.frames[i] for i in spread.astype(int))
+        self._simulator, self._finer = scene.simulator(self._potential, TOLERANCE), FinerMesh(scene)
+        self._fine = self._finer.scene.simulator(self._finer.scene.potential(model), TOLERANCE)
+        noise = measurement_noise(scene.measurement)
+        self._sigma = 0.0 if noise is None else noise.sigma
+
+    def work(self, frame: int) -> int:
+        """What a window takes, in roll-outs."""
+        return 1 + (frame in self.checked) * (FINER + FOLD + 2)
+
+    def told(self, frame: int) -> Window:
+        """The window that starts at a frame; it ends where the next one starts, so that no frame is told twice."""
+        later = next((other for other in self.frames if other > frame), frame + self._length)
+        until = min(self._length, later - frame)
+        state = self._starts.state(frame)
+        run = roll_out(self.scene, self._simulator, state, frame, length=until)
+        errors = np.full((3, *run.positions.shape[:2]), np.nan)
+        if frame in self.checked:
+            slow = roll_out(self.scene, self._simulator, state, frame, length=until, substeps=FINER * SUBSTEPS)
+            errors[0] = np.linalg.norm(slow.positions - run.positions, axis=-1)
+            by_mesh = self._finer.difference(self._fine, state, run)
+            errors[1] = _share_seen(self.scene.measurement, run, by_mesh) * np.linalg.norm(by_mesh, axis=-1)
+            again = _restarted(self.scene, self._potential, self._simulator, state, frame, until, self._sigma)
+            errors[2, : len(again)] = again
+        return Window(run.frames[1:], run.positions[1:], run.converged[1:], *errors[:, 1:])
+
+
+Spread = Callable[[Scene, Model, int, Sequence[int]], Iterator[Window]]
+"""Rolls out the windows of a scene that start at some frames, of that length, in any order."""
+
+
 def predict_in_windows(
-    scene: Scene, model: Model, length: int = LENGTH, progress: Progress | None = None
+    scene: Scene,
+    model: Model,
+    length: int = LENGTH,
+    progress: Progress | None = None,
+    spread: Spread | None = None,
 ) -> Prediction:
     """A physics model rolled out in windows that follow one another, each started from the measurement.
 
@@ -75,46 +150,23 @@ def predict_in_windows(
     step, by steps :data:`FINER` times finer, that of the mesh, by edges half as long, and that of the restarts,
     by restarting the model from its own noisy motion.
 
+    Args:
+        spread: rolls out the windows elsewhere; here, one after another, unless given.
+
     Raises:
         CaphyError: no window can be started, because too little was seen in neighbouring frames.
     """
-    potential = scene.potential(model)
-    starts = StartStates(scene, potential)
-    chosen = window_starts(starts, length)
-    if not chosen:
-        where = scene.measurement.source or scene.measurement.name
-        raise CaphyError(
-            f"{where}: no window can start: that takes three frames in a row around which half of the vertices were "
-            f"seen; {len(scene.measurement.seen_frames)} of {len(scene.measurement)} frames show anything"
-        )
-    simulator, finer = scene.simulator(potential, TOLERANCE), FinerMesh(scene)
-    fine = finer.scene.simulator(finer.scene.potential(model), TOLERANCE)
-    noise = measurement_noise(scene.measurement)
-    checked = {chosen[i] for i in np.linspace(0, len(chosen) - 1, min(CHECKED, len(chosen))).astype(int)}
-    each = FINER + FOLD + 2
-    work, done = len(chosen) + each * len(checked), 0
-    runs, errors = [], []
-    for number, frame in enumerate(chosen):
-        # Up to the next start, so that no frame is predicted twice.
-        until = min(length, chosen[number + 1] - frame if number + 1 < len(chosen) else length)
-        state = starts.state(frame)
-        run = roll_out(scene, simulator, state, frame, length=until)
-        step_error, mesh_error, start_error = (np.full(run.positions.shape[:2], np.nan) for _ in range(3))
-        if frame in checked:
-            slow = roll_out(scene, simulator, state, frame, length=until, substeps=FINER * SUBSTEPS)
-            step_error = np.linalg.norm(slow.positions - run.positions, axis=-1)
-            by_mesh = finer.difference(fine, state, run)
-            mesh_error = _share_seen(scene.measurement, run, by_mesh) * np.linalg.norm(by_mesh, axis=-1)
-            sigma = 0.0 if noise is None else noise.sigma
-            again = _restarted(scene, potential, simulator, state, frame, until, sigma)
-            start_error[: len(again)] = again
-            done += each
-        done += 1
-        runs.append(run)
-        errors.append((step_error, mesh_error, start_error))
+    windows = Windows(scene, model, length)
+    longest_first = sorted(windows.frames, key=windows.work, reverse=True)
+    found = map(windows.told, longest_first) if spread is None else spread(scene, model, length, longest_first)
+    work, done, told = sum(map(windows.work, windows.frames)), 0, {}
+    for window in found:
+        start = int(window.frames[0]) - 1
+        told[start] = window
+        done += windows.work(start)
         if progress is not None:
             progress("rolling out", done, work)
-    return _joined(scene, runs, *zip(*errors, strict=True))
+    return _joined(scene, [told[frame] for frame in windows.frames])
 
 
 def _share_seen(measurement: Measurement, run: WindowRun, by_mesh: np.ndarray) -> float:
@@ -147,27 +199,19 @@ def _restarted(
     return np.linalg.norm(again.positions - truth.positions[RUN_UP : RUN_UP + len(again.positions)], axis=-1)
 
 
-def _joined(
-    scene: Scene,
-    runs: Sequence[WindowRun],
-    step_errors: Sequence[np.ndarray],
-    mesh_errors: Sequence[np.ndarray],
-    start_errors: Sequence[np.ndarray],
-) -> Prediction:
-    """Windows as rows. A window's own start is left out: it is made from the measurement."""
-    frames = np.concatenate([run.frames[1:] for run in runs])
+def _joined(scene: Scene, windows: Sequence[Window]) -> Prediction:
+    """Windows as rows."""
+    arrays = {each.name: np.concatenate([getattr(w, each.name) for w in windows]) for each in fields(Window)}
+    frames = arrays.pop("frames")
     return Prediction(
         frames=frames,
-        vertices=np.concatenate([run.positions[1:] for run in runs]),
+        vertices=arrays.pop("positions"),
         faces=scene.garment.faces,
         registered=scene.measurement.registered,
-        lag=np.concatenate([np.arange(1, len(run.positions)) for run in runs]),
-        window=np.concatenate([np.full(len(run.positions) - 1, i) for i, run in enumerate(runs)]),
-        converged=np.concatenate([run.converged[1:] for run in runs]),
-        step_error=np.concatenate([error[1:] for error in step_errors]),
-        mesh_error=np.concatenate([error[1:] for error in mesh_errors]),
-        start_error=np.concatenate([error[1:] for error in start_errors]),
+        lag=np.concatenate([np.arange(1, len(w.frames) + 1) for w in windows]),
+        window=np.concatenate([np.full(len(w.frames), i) for i, w in enumerate(windows)]),
         material=scene.garment.material,
         body_vertices=scene.body_vertices(frames),
         body_faces=scene.body_faces,
+        **arrays,
     )

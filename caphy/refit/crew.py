@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
+from dataclasses import fields, replace
 from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,7 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.kept import Kept
+from caphy.measure.prediction import Window, Windows
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered, registered_as
 from caphy.processes import cores, end_at_ctrl_c, one_thread_each
@@ -106,6 +107,22 @@ class Crew:
         for share, answers in self._done(jobs, "rolled out windows"):
             yield from zip(share, answers, strict=True)
 
+    def predict(self, scene: Scene, model: Model, length: int, starts: Sequence[int]) -> Iterator[Window]:
+        """Windows of a scene that start at some frames, as :class:`caphy.measure.prediction.Windows` tells them, in the
+        order in which they are done.
+
+        Raises:
+            CaphyError: what a window raised, or a process died.
+        """
+        self._studies += 1
+        given = *_bound(scene), scene.ends, model, length
+        for each in self._each:
+            each.submit(_watch, self._studies, given)
+        size = len(self._each)
+        jobs = {self._each[i % size].submit(_predict, self._studies, frame): frame for i, frame in enumerate(starts)}
+        for _, window in self._done(jobs, "rolled out windows"):
+            yield window
+
     def _done(self, jobs: Mapping[Future, Any], what: str) -> Iterator[tuple[Any, Any]]:
         """What jobs stand for, and what they gave, as they are done."""
         try:
@@ -121,6 +138,8 @@ class Crew:
 _KNOWN: dict[int, list[Watched]] = {}
 _GIVEN: dict[int, list[str]] = {}
 """What the scenes of studies are made of, as keys."""
+_PREDICTED: dict[int, tuple[tuple, list[Windows]]] = {}
+"""What windows are predicted from, and the windows once one was asked for."""
 _kept = Kept()
 
 
@@ -188,3 +207,20 @@ def _respond(
     told |= {"of_solver": np.stack([*of_solver.values()]), "of_start": np.stack([*of_start.values()])}
     _kept.keep(key, told)
     return answers
+
+
+def _watch(study: int, given: tuple[Measurement, Garment, BodyModel | None, np.ndarray | None, Model, int]) -> None:
+    _PREDICTED[study] = given, []
+
+
+def _predict(study: int, frame: int) -> Window:
+    given, windows = _PREDICTED[study]
+    key = _kept.key("predict", *given, frame)
+    if (found := _kept.recall(key)) is not None:
+        return Window(**found)
+    if not windows:
+        *bound, ends, model, length = given
+        windows.append(Windows(replace(Scene.of(*bound), ends=ends), model, length))
+    window = windows[0].told(frame)
+    _kept.keep(key, {each.name: getattr(window, each.name) for each in fields(window)})
+    return window

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from explicit_cloth import measured, simulate
 
+from caphy.commands import compare as command
 from caphy.commands.compare import load_model, main
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -96,7 +97,8 @@ def test_scenes_that_cannot_be_simulated_are_told(plain):
         Scene.of(replace(plain, pinned=None, pinned_positions=None))
 
 
-def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys):
+def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys, monkeypatch):
+    """... and a run that was stopped is gone on from."""
     (tmp_path / "model.json").write_text(MODEL.to_json())
     short = replace(
         plain, name="short </script>", vertices=plain.vertices[:20], pinned_positions=plain.pinned_positions[:20]
@@ -104,7 +106,24 @@ def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys):
     write_measurement(short, tmp_path / "short.npz")
     (tmp_path / "strip.csv").write_text("axial_strain,force_per_width_N_per_m\n0,0\n0.1,5\n0.2,11\n0.3,20\n")
     given = [str(tmp_path / name) for name in ("model.json", "short.npz", "strip.csv")]
+    kept, going_on, write = tmp_path / "out" / "unfinished-comparison", [], command.write
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def watched(*found: object) -> None:
+        going_on.extend(sorted(kept.iterdir()))
+        write(*found)
+
+    monkeypatch.setattr(command, "write", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main([*given, "-o", str(tmp_path / "out")])
+    files = sorted(kept.iterdir())
+    assert files
+    monkeypatch.setattr(command, "write", watched)
     main([*given, "-o", str(tmp_path / "out")])
+    assert going_on == files  # nothing was rolled out anew
+    assert not kept.exists()
     figures = json.loads((tmp_path / "out" / "compare.json").read_text())["comparisons"][0]
     assert figures["error"]["median_mm"] > 0
     page = (tmp_path / "out" / "compare.html").read_text()

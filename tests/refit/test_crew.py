@@ -15,6 +15,7 @@ from caphy.effects import registry
 from caphy.effects.model import Model
 from caphy.effects.scaffold import write_scaffold
 from caphy.errors import CaphyError
+from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import addition
@@ -48,6 +49,26 @@ def test_a_crew_finds_what_one_process_does(scene, tmp_path, monkeypatch):
             scale = np.nanmax(np.abs(wanted_there), initial=0.0)
             np.testing.assert_allclose(getattr(one, field), wanted_there, rtol=0, atol=1e-9 * scale)
     assert told[-1] == ("trying", len(wanted), len(wanted))
+
+
+def test_windows_predicted_by_a_crew_are_those_of_one_process(scene):
+    told = []
+    with Crew(size=2) as crew:
+        shared = predict_in_windows(scene, MODEL, 12, lambda *said: told.append(said), crew.predict)
+        with pytest.raises(CaphyError, match="no effect"):
+            list(crew.predict(scene, Model(0.2, {"nonsense": {}}), 12, [1]))
+    alone = predict_in_windows(scene, MODEL, 12)
+    for each in ("frames", "lag", "window", "converged"):
+        np.testing.assert_array_equal(getattr(shared, each), getattr(alone, each))
+    for each in ("vertices", "step_error", "mesh_error", "start_error"):
+        found = getattr(shared, each)
+        assert np.isfinite(found).any()
+        np.testing.assert_allclose(found, getattr(alone, each), rtol=0, atol=1e-9)
+    whats, dones, totals = zip(*told, strict=True)
+    assert set(whats) == {"rolling out"}
+    assert len(set(totals)) == 1
+    assert sorted(set(dones)) == list(dones)
+    assert dones[-1] == totals[-1]
 
 
 def test_what_goes_wrong_in_a_process_is_said_here(scene):

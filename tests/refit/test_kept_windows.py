@@ -12,6 +12,7 @@ from explicit_cloth import clouds, measured, seen, simulate
 from caphy.diagnose.probes import Probes
 from caphy.effects.model import Model
 from caphy.garment.template import read_npz, write_npz
+from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import addition
@@ -57,6 +58,22 @@ def test_a_later_crew_tells_what_an_earlier_one_found(tmp_path: Path) -> None:
     assert sorted(folder.iterdir()) == files
     measurement = scene.measurement
     _all(Scene.of(replace(measurement, vertices=measurement.vertices + 1e-9), scene.garment), folder)
+    assert len(list(folder.iterdir())) == 2 * len(files)
+
+
+def test_windows_are_predicted_once(tmp_path: Path) -> None:
+    scene, folder = Scene.of(measured(*simulate(), seed=1)), tmp_path / "kept"
+    found = []
+    for model in (MODEL, MODEL, STIFFER):
+        with Crew(size=1, kept=folder) as crew:
+            found.append(predict_in_windows(scene, model, 20, spread=crew.predict))
+        if len(found) == 1:
+            files = sorted(folder.iterdir())
+            assert len(files) == len(np.unique(found[0].window))
+            arrays = read_npz(files[0])
+            write_npz(files[0], {**arrays, "positions": arrays["positions"] + 1.0})
+    moved = np.abs(found[1].vertices - found[0].vertices).max(axis=(1, 2))
+    np.testing.assert_allclose(moved, np.isin(found[0].frames, arrays["frames"]), atol=1e-12)
     assert len(list(folder.iterdir())) == 2 * len(files)
 
 
