@@ -303,7 +303,7 @@ class _Tracker:
         drawn = np.stack(
             [np.bincount(corners.ravel(), (weight * away[:, i : i + 1]).ravel(), len(x)) for i in range(3)], 1
         )
-        drawn /= np.maximum(total, 1e-9)[:, None]
+        drawn = drawn / np.maximum(total, 1e-9)[:, None]  # of no point at all numpy counts in whole numbers
         area = np.cross(x[self.faces[:, 1]] - x[self.faces[:, 0]], x[self.faces[:, 2]] - x[self.faces[:, 0]])
         normal = np.stack([np.bincount(self.faces.ravel(), np.repeat(area[:, i], 3), len(x)) for i in range(3)], 1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)

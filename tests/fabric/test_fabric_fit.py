@@ -186,7 +186,8 @@ def test_a_mesh_of_quarters_is_the_same_cloth():
 
 
 def test_the_mesh_s_error_is_taken_off():
-    """Scans of a finer mesh, unlike the one that tells the error: at the true fabric a coarse one asks for another, and for less once it is corrected."""
+    """Scans of a finer mesh, unlike the one that tells the error: at the true fabric a coarse one asks for another, and
+    for less once it is corrected."""
     numbers = Coefficients.of(PLANTED)
     worn = Stills(PLANTED, 13, turns(3, 4), 4).scans(panel(6), 0.0, spacing=0.01)
     scans = _Scans(tuple(worn), numbers, "response", None, None)

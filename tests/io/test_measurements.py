@@ -187,8 +187,11 @@ def _flat() -> np.ndarray:
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: _broken(vertices=1000 * swinging().vertices), "millimetres: multiply by 0.001"),
-        (lambda: _broken(rest_vertices=100 * swinging().rest_vertices), r"edges are 0.01 times as long as in rest"),
+        (lambda: _broken(vertices=1000 * swinging().vertices), r"are these millimetres \(multiply by 0.001\)\?"),
+        (
+            lambda: _broken(rest_vertices=100 * swinging().rest_vertices),
+            "rest_vertices look like centimetres beside frames in metres: multiply them by 0.01",
+        ),
         (lambda: _broken(fps=1 / 30), "give 30"),
         (_shuffled, "look shuffled"),
         (_exchanged, "frames 14 and 15 look exchanged"),

@@ -20,6 +20,10 @@ ARRAYS: Final = tuple(
     field.name for field in fields(Measurement) if field.name not in ("name", "fps", "noise_mm", "source", "notes")
 )
 """Keys that hold arrays."""
+STEADY: Final = ("poses", "transl", "pinned_positions", "body_vertices")
+"""Those that are known in every frame, also where the cloth was not seen."""
+_LONGEST = 50
+"""Times as many frames as were captured that a recording may have, at most."""
 _OTHER = ("format", "name", "fps", "noise_mm", "up_axis", "frame_index", "frame_count", "notes")
 
 
@@ -43,7 +47,8 @@ def read_archive(path: Path) -> tuple[Measurement, bool]:
 def from_arrays(arrays: Mapping[str, Any], name: str, source: str) -> tuple[Measurement, bool]:
     """A measurement with y up out of its keys, and whether they state the up axis."""
     given: dict[str, Any] = {key: arrays[key] for key in ARRAYS if key in arrays}
-    if "frame_index" in arrays:
+    if "frame_count" in arrays or "frame_index" in arrays:
+        arrays = {"frame_index": np.arange(_captured(given)), **arrays}
         _spread(given, np.asarray(arrays["frame_index"]), arrays.get("frame_count"), source)
     measurement = Measurement(
         name=str(arrays.get("name", name)),
@@ -57,6 +62,13 @@ def from_arrays(arrays: Mapping[str, Any], name: str, source: str) -> tuple[Meas
     if axis not in ("y", "z"):
         raise CaphyError(f"{source}: up_axis must be 'y' or 'z', got {axis!r}")
     return (measurement if axis == "y" else y_up(measurement)), "up_axis" in arrays
+
+
+def _captured(given: Mapping[str, Any]) -> int:
+    """How many frames of cloth are there."""
+    if "vertices" in given:
+        return len(np.atleast_1d(given["vertices"]))
+    return max(len(np.atleast_1d(given.get("offsets", ()))) - 1, 0)
 
 
 def y_up(measurement: Measurement) -> Measurement:
@@ -121,8 +133,18 @@ def _spread(given: dict[str, Any], index: np.ndarray, count: Any, source: str) -
             "" if not whole or index[0] < 0 else f"; at place {int(np.argmax(np.diff(index) <= 0)) + 1} it falls back"
         )
         raise CaphyError(f"{source}: frame_index must be rising whole numbers (K,), the captured frames' places{place}")
-    steady = [len(given[k]) for k in ("poses", "transl", "pinned_positions", "body_vertices") if k in given]
-    total = int(count) if count is not None else max([int(index[-1]) + 1, *steady])
+    steady = [len(given[k]) for k in STEADY if k in given]
+    total = max([int(index[-1]) + 1, *steady])
+    if count is not None:
+        stated = _number(count, "frame_count", source)
+        if not stated.is_integer():
+            raise CaphyError(f"{source}: frame_count must be a whole number, got {stated:g}")
+        total = int(stated)
+    if total > _LONGEST * len(index):
+        raise CaphyError(
+            f"{source}: {len(index)} frames were captured of {total}; are frame_index, or the numbers in files' names, "
+            "times? Number frames, one after another at fps, or cut what was not seen"
+        )
     if index[-1] >= total:
         raise CaphyError(f"{source}: frame_index reaches {index[-1]}, but there are {total} frames")
     for name in ("vertices", "visibility", "noise"):

@@ -12,14 +12,30 @@ from caphy.io.poses.sequence import Y_UP_FROM_Z_UP
 
 SIZE: Final = (0.02, 10.0)
 """Diagonal [m] that a piece of cloth may have in one frame."""
+NOISIEST: Final = 0.2
+"""Share of a cloth's size that the noise of its points does not reach."""
 MAX_SPEED: Final = 40.0
 """Speed [m/s] that the median vertex of a cloth does not reach; a whip's tip does, a sheet does not."""
 MOVING: Final = 0.01
 """Median step between frames, as a share of the cloth's size, from which the order of frames can be judged."""
+WANDERS: Final = 0.03
+"""The same for clouds, whose middle also moves with what is hidden ..."""
+TURNS: Final = 0.9
+"""... and its step to the next frame over that to the one after from which on they are in no order: 0.5 on a straight
+path, 1 for shuffled frames."""
 HALTED: Final = 1e-3
 """Mean step [m] before and after a frame between which a cloth does not stand perfectly still."""
 REACH: Final = 0.45
 """Distance [m] within which the median point of clothing has a joint of the body."""
+
+TORN: Final = 4.0
+"""Ratio of the longest tenth of one frame's edges to the shortest, over their lengths at rest, that no cloth has."""
+FAR: Final = 3.0
+"""Times its length at rest that no edge has at a vertex that was seen."""
+SHEARED: Final = 1.6
+"""Ratio of the edges of one face, over their lengths in another rest shape, from which it counts as another's ..."""
+WRONG: Final = 0.2
+"""... and the share of such faces that no pattern has."""
 
 _SCALES = {0.001: "millimetres", 0.01: "centimetres", 0.1: "decimetres", 0.0254: "inches", 1000.0: "kilometres"}
 
@@ -32,11 +48,14 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
     _require_rate(measurement)
     _require_metres(measurement)
     _require_same_pattern(measurement)
+    _require_seen(measurement)
     if measurement.registered:
         _require_same_mesh(measurement)
         _require_no_repeats(measurement)
         _require_order(measurement)
         _require_pins(measurement)
+    else:
+        _require_ordered_clouds(measurement)
     _require_body(measurement)
     if not axes_stated:
         _require_hanging(measurement)
@@ -68,17 +87,23 @@ def _size(measurement: Measurement) -> float:
 def _require_metres(measurement: Measurement) -> None:
     size = _size(measurement)
     if not SIZE[0] <= size <= SIZE[1]:
-        fitting = [f"{unit}: multiply by {scale:g}" for scale, unit in _SCALES.items() if 0.2 <= size * scale <= 4]
+        fitting = [f"{unit} (multiply by {scale:g})" for scale, unit in _SCALES.items() if 0.2 <= size * scale <= 4]
         raise _error(
             measurement,
             f"lengths must be in metres, but the cloth measures {size:.3g} across; "
-            + (f"it looks like {fitting[0]}" if fitting else "check its unit"),
+            + (f"are these {' or '.join(fitting)}?" if fitting else "check its unit"),
         )
-    if measurement.noise is not None and np.nanmedian(measurement.noise) > 0.2 * size:
+    if measurement.noise is not None and np.nanmedian(measurement.noise) > NOISIEST * size:
         raise _error(
             measurement,
             f"noise must be in metres, got a median of {np.nanmedian(measurement.noise):.3g} on a cloth of {size:.2g} "
             "m; divide millimetres by 1000",
+        )
+    if measurement.noise_mm is not None and measurement.noise_mm > 1000 * NOISIEST * size:
+        raise _error(
+            measurement,
+            f"noise_mm must be in millimetres, got {measurement.noise_mm:g} on a cloth of {1000 * size:.3g} mm; are "
+            "these micrometres?",
         )
 
 
@@ -100,6 +125,52 @@ def _require_same_pattern(measurement: Measurement) -> None:
             f"edges are {low:.2g} to {high:.2g} times as long in material as in rest_vertices (in the median "
             f"{middle:.3g}); give both in metres, and material's corners in the order of faces",
         )
+    ratio = laid / np.maximum(rest, 1e-12)
+    wrong = float((ratio.max(axis=1) > SHEARED * ratio.min(axis=1)).mean())
+    if wrong > WRONG:
+        raise _error(
+            measurement,
+            f"{100 * wrong:.0f} % of the faces have another shape in material than in rest_vertices; give material's "
+            "corners in the order of faces and of each face's corners",
+        )
+
+
+def _require_seen(measurement: Measurement) -> None:
+    """What was not seen is left out: programs that write zeros put it all at the origin."""
+    if measurement.vertices is None:
+        assert measurement.points is not None
+        at = np.flatnonzero((measurement.points == 0).all(axis=1))
+        frame = np.searchsorted(measurement.offsets, at, side="right") - 1  # pyright: ignore
+        counts = np.bincount(frame, minlength=len(measurement))
+        if counts.max() > 1:
+            raise _error(
+                measurement,
+                f"frame {int(counts.argmax())} has {counts.max()} points at (0, 0, 0); leave points that were not seen "
+                "out of the cloud",
+            )
+        return
+    at = measurement.observed & (measurement.vertices == 0).all(axis=-1)
+    if measurement.pinned is not None:
+        at[:, measurement.pinned] = False
+    for frame in np.flatnonzero(at.any(axis=1)):
+        zeros = np.flatnonzero(at[frame])
+        if len(zeros) > 1 or _torn_off(measurement, int(frame), int(zeros[0])):
+            many = int(at.sum())
+            raise _error(
+                measurement,
+                f"vertex {zeros[0]} lies at (0, 0, 0) in frame {frame}, away from its neighbours ({many} such places): "
+                "leave what was not seen NaN",
+            )
+
+
+def _torn_off(measurement: Measurement, frame: int, vertex: int) -> bool:
+    """Whether most edges of a vertex are far longer than the mesh's usually are in that frame."""
+    assert measurement.vertices is not None
+    assert measurement.faces is not None
+    pairs = _edges(measurement.faces)
+    length = np.linalg.norm(np.diff(measurement.vertices[frame][pairs], axis=1)[:, 0], axis=-1)
+    own = (pairs == vertex).any(axis=1)
+    return bool(own.any() and np.nanmedian(length[own]) > FAR * np.nanmedian(length))
 
 
 def _require_no_repeats(measurement: Measurement) -> None:
@@ -131,9 +202,9 @@ def _require_same_mesh(measurement: Measurement) -> None:
         return
     a, b = _edges(measurement.faces).T
     rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
-    frames = measurement.seen_frames[:: max(len(measurement.seen_frames) // 20, 1)]
-    now = np.linalg.norm(measurement.vertices[frames][:, a] - measurement.vertices[frames][:, b], axis=2)
-    ratio = (now / np.maximum(rest, 1e-12))[np.isfinite(now)]
+    frames = measurement.seen_frames
+    each = [_lengths_over(measurement.vertices[frame], a, b, rest) for frame in frames]
+    ratio = np.concatenate(each[:: max(len(frames) // 20, 1)])
     if len(ratio) == 0:
         return
     low, middle, high = np.quantile(ratio, (0.1, 0.5, 0.9))
@@ -144,14 +215,30 @@ def _require_same_mesh(measurement: Measurement) -> None:
             "vertices are not in the same vertex order. Export all three from one mesh",
         )
     if not 0.5 <= middle <= 2:
-        unit = min(_SCALES, key=lambda scale: abs(np.log(middle * scale)))
-        advice = f"the vertices look like {_SCALES[unit]} beside a rest mesh in metres: multiply them by {unit:g}"
-        fits = 0.5 <= middle * unit <= 2
+        large = middle if middle > 1 else 1 / middle
+        unit = min(_SCALES, key=lambda scale: abs(np.log(large * scale)))
+        wrong, right = ("vertices", "a rest mesh") if middle > 1 else ("rest_vertices", "frames")
+        advice = f"the {wrong} look like {_SCALES[unit]} beside {right} in metres: multiply them by {unit:g}"
+        fits = 0.5 <= large * unit <= 2
         raise _error(
             measurement,
             f"edges are {middle:.3g} times as long as in rest_vertices; "
             + (advice if fits else "are both in metres, and of the same mesh?"),
         )
+    for frame, own in zip(frames, each, strict=True):
+        low, high = np.quantile(own, (0.1, 0.9)) if len(own) else (1.0, 1.0)
+        if high > TORN * low:
+            raise _error(
+                measurement,
+                f"in frame {frame} some edges are {low:.2g} and others {high:.2g} times as long as at rest: its "
+                "vertices are in another order than other frames'; export all from one mesh, or leave it empty (NaN)",
+            )
+
+
+def _lengths_over(x: np.ndarray, a: np.ndarray, b: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Lengths of the edges whose ends were seen, over those at rest."""
+    ratio = np.linalg.norm(x[a] - x[b], axis=1) / np.maximum(rest, 1e-12)
+    return ratio[np.isfinite(ratio)]
 
 
 def _step(measurement: Measurement, frames: np.ndarray, lag: int) -> np.ndarray:
@@ -192,6 +279,29 @@ def _require_order(measurement: Measurement) -> None:
         f"the frames look shuffled, first at frames {first} and {first + 1}: the way through them becomes much shorter "
         "when neighbours are exchanged. Sort them by time (frame_2, frame_10 sort wrongly as text)",
     )
+
+
+def _require_ordered_clouds(measurement: Measurement) -> None:
+    """Clouds in the order of time, each once: place and extent change less to the next frame than to the one after."""
+    frames = measurement.seen_frames
+    clouds = [measurement.cloud(int(frame)) for frame in frames]
+    for number, (now, before) in enumerate(zip(clouds[1:], clouds[:-1], strict=True)):
+        if np.array_equal(now, before):
+            raise _error(
+                measurement,
+                f"frames {frames[number]} and {frames[number + 1]} are the same to the last digit: leave repeated "
+                "frames empty, and give the true fps",
+            )
+    if len(frames) < 6:
+        return
+    told = np.array([np.concatenate([cloud.mean(axis=0), cloud.std(axis=0)]) for cloud in clouds])
+    one, two = (float(np.median(np.linalg.norm(told[lag:] - told[:-lag], axis=1))) for lag in (1, 2))
+    if one > WANDERS * _size(measurement) and one > TURNS * two:
+        raise _error(
+            measurement,
+            f"the frames look shuffled: clouds move {one / two:.2g} times as far to the next frame as to the one "
+            "after. Sort them by time (frame_2, frame_10 sort wrongly as text)",
+        )
 
 
 def _require_pins(measurement: Measurement) -> None:

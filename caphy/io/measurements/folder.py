@@ -14,14 +14,30 @@ from typing import Any, Final
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.io.measurements.archive import ARRAYS, from_arrays, to_arrays
+from caphy.io.measurements.archive import ARRAYS, STEADY, from_arrays, to_arrays
 from caphy.io.measurements.measurement import Measurement
 
 DESCRIPTION: Final = "measurement.toml"
 EXTRA: Final = "arrays.npz"
 REST: Final = "rest.ply"
 """The rest mesh, where the description names no other."""
-_KEYS = ("fps", "name", "frames", "registered", "rest", "poses", "arrays", "up_axis", "noise_mm", "frame_count")
+_TEXT, _NUMBERS, _WHOLE = "text", "a number", "a whole number"
+_KEYS: Final = {
+    "fps": _NUMBERS,
+    "name": _TEXT,
+    "frames": _TEXT,
+    "registered": "true or false",
+    "rest": _TEXT,
+    "poses": _TEXT,
+    "arrays": _TEXT,
+    "up_axis": _TEXT,
+    "noise_mm": _NUMBERS,
+    "first_frame": _WHOLE,
+    "frame_count": _WHOLE,
+}
+"""What the description may state, and as what."""
+_ALIKE = 0.5
+"""Share of a mesh's edges that a frame's mesh must have: quads may be cut along either diagonal."""
 
 
 def read_folder(folder: Path) -> tuple[Measurement, bool]:
@@ -40,12 +56,34 @@ def read_folder(folder: Path) -> tuple[Measurement, bool]:
     meshes = {frame: _mesh(path) for frame, path in files.items()}
     registered = bool(description.get("registered", "rest" in description))
     arrays |= _registered(meshes, files, arrays, where) if registered else _clouds(meshes)
-    first = min(files)
-    arrays["frame_index"] = np.array(sorted(files)) - first
+    arrays["frame_index"] = np.array(sorted(files)) - _first_frame(files, arrays, description, where)
     arrays |= {
         key: description[key] for key in ("fps", "name", "up_axis", "noise_mm", "frame_count") if key in description
     }
     return from_arrays(arrays, folder.name, str(folder))
+
+
+def _first_frame(files: dict[int, Path], arrays: dict[str, Any], description: dict[str, Any], where: Path) -> int:
+    """The number that frame 0 has in files' names: the smallest, unless others than files' frames speak against it."""
+    first, last = min(files), max(files)
+    if "first_frame" in description:
+        if not 0 <= description["first_frame"] <= first:
+            raise CaphyError(
+                f"{where}: first_frame is the number of the first frame in files' names, at most {first}, the smallest "
+                f"of them; got {description['first_frame']}"
+            )
+        return description["first_frame"]
+    counts = {name: len(arrays[name]) for name in STEADY if name in arrays}
+    if "frame_count" in description:
+        counts["frame_count"] = description["frame_count"]
+    other = next((name for name, count in counts.items() if first and count != last - first + 1), None)
+    if other is not None:
+        raise CaphyError(
+            f"{where}: files are numbered from {first} to {last}, and {other} has {counts[other]} frames: which of "
+            f"them are these? State first_frame = {first} if the first file is of the first of them, first_frame = 0 "
+            "if numbers count from 0 and frames before it were not seen"
+        )
+    return first
 
 
 def write_folder(measurement: Measurement, folder: Path) -> None:
@@ -95,7 +133,7 @@ def _fill(measurement: Measurement, folder: Path) -> None:
 def _description(folder: Path) -> dict[str, Any]:
     path = folder / DESCRIPTION
     try:
-        description = tomllib.loads(path.read_text(encoding="utf-8"))
+        description = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # as editors of Windows write it
     except FileNotFoundError as error:
         raise CaphyError(f"{folder}: a measurement's folder needs a {DESCRIPTION} with at least: fps = 30") from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -103,9 +141,20 @@ def _description(folder: Path) -> dict[str, Any]:
     unknown = sorted(set(description) - set(_KEYS))
     if unknown:
         raise CaphyError(f"{path}: has keys nobody reads: {', '.join(unknown)}; known: {', '.join(_KEYS)}")
-    if not isinstance(description.get("fps"), (int, float)):
+    if "fps" not in description:
         raise CaphyError(f"{path}: must state the frames per second, such as: fps = 30")
+    for name, value in description.items():
+        if not _is(value, _KEYS[name]):
+            raise CaphyError(f"{path}: {name} must be {_KEYS[name]}, got {value!r}")
     return description
+
+
+def _is(value: Any, what: str) -> bool:
+    if what == _TEXT:
+        return isinstance(value, str) and value != ""
+    if isinstance(value, bool) or what == _KEYS["registered"]:
+        return isinstance(value, bool) and what == _KEYS["registered"]
+    return isinstance(value, int) or (what == _NUMBERS and isinstance(value, float))
 
 
 def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
@@ -114,9 +163,15 @@ def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
     path = folder / description["arrays"]
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files if name in ARRAYS}
+            arrays = {name: archive[name] for name in archive.files}
     except Exception as error:
         raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({error})") from error
+    if foreign := sorted(set(arrays) - set(ARRAYS)):
+        raise CaphyError(
+            f"{path}: has keys that nobody reads here: {', '.join(foreign)}; it may hold {', '.join(ARRAYS)}; "
+            f"{', '.join(_KEYS)} belong in {DESCRIPTION}"
+        )
+    return arrays
 
 
 def _motion(path: Path, fps: float) -> dict[str, Any]:
@@ -132,7 +187,15 @@ def _motion(path: Path, fps: float) -> dict[str, Any]:
 def _frames(folder: Path, description: dict[str, Any]) -> dict[int, Path]:
     """Files by the last number in their names, which is their frame."""
     pattern = description.get("frames")
-    paths = sorted(folder.glob(pattern)) if pattern else sorted([*folder.glob("*.ply"), *folder.glob("*.obj")])
+    try:
+        paths = sorted(folder.glob(pattern or "*"))
+    except (NotImplementedError, ValueError) as error:
+        raise CaphyError(
+            f"{folder / DESCRIPTION}: frames must be a pattern of names within the folder, such as 'frame_*.ply', got "
+            f"{pattern!r}"
+        ) from error
+    if not pattern:
+        paths = [path for path in paths if path.suffix.lower() in (".ply", ".obj")]
     files: dict[int, Path] = {}
     for path in paths:
         numbers = re.findall(r"\d+", path.stem)
@@ -174,8 +237,22 @@ def _registered(
                 f"{files[frame]}: has {len(points)} vertices, {other} {count}; a registered cloth keeps its mesh. "
                 f"For scans set registered = false in {where.name}"
             )
+    same = arrays.get("faces", faces)
+    known = _edges(same)
+    for frame, (_, own) in meshes.items():
+        if len(own) and len(known) and len(known & _edges(own)) < _ALIKE * len(known):
+            other = "the rest mesh" if "faces" in arrays else files[first].name
+            raise CaphyError(
+                f"{files[frame]}: its triangles are not those of {other}, so that its vertices are in another order; a "
+                f"registered cloth keeps its mesh. For scans set registered = false in {where.name}"
+            )
     given: dict[str, Any] = {"vertices": np.stack([points for points, _ in meshes.values()])}
     return given if "faces" in arrays else given | {"faces": faces}
+
+
+def _edges(faces: np.ndarray) -> set[tuple[int, int]]:
+    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    return set(map(tuple, pairs.tolist()))
 
 
 def _clouds(meshes: dict[int, tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:

@@ -150,6 +150,8 @@ class Measurement:
             return array
         if name in INTEGERS and array.dtype.kind == "f" and not np.array_equal(array, np.round(array)):
             raise self._error(f"{name} must be whole numbers (indices), got {array.dtype}")
+        if name == "visibility" and not np.isin(array, (0, 1)).all():
+            raise self._error("visibility must be true or false (1 or 0); compare confidences with a limit of your own")
         dtype = np.int64 if name in INTEGERS else bool if name == "visibility" else np.float64
         return np.ascontiguousarray(array, dtype=dtype)
 
@@ -245,6 +247,11 @@ class Measurement:
                 )
         if self.pinned is not None and len(np.unique(self.pinned)) < len(self.pinned):
             raise self._error("pinned must name each held vertex once")
+        if self.pinned is not None and not 0 < len(self.pinned) < (count or np.inf):
+            raise self._error(
+                f"pinned must hold some of the {count} vertices, and not all, got {len(self.pinned)}; leave pinned and "
+                "pinned_positions out where nothing is held"
+            )
         if len(self.seen_frames) == 0:
             raise self._error("no frame shows anything: all vertices are NaN or not visible")
         if self.noise is not None and (np.isnan(self.noise).all() or np.nanmin(self.noise) < 0):
