@@ -38,6 +38,8 @@ class Options:
     sweep: int = 6
     """Scans used at each noise of the table by both objectives; 0 leaves it out."""
     rounds: int = 8
+    corrections: int = 1
+    """Times that the mesh's error is told."""
     planted: str = "white-swim-solid"
     """The measured fabric that the truth is made of, and factors on it (the virtual rig draws such factors too):"""
     stretch: float = 1.0
@@ -79,7 +81,8 @@ def main(options: Options) -> None:
 
 def _print_recovery(options: Options, stills: Stills, planted: Model, start: Model) -> Fitted:
     spent = time.process_time()
-    fitted = fit_fabric(stills.scans(panel(options.coarse), options.noise), start, options.rounds, corrections=1)
+    scans = stills.scans(panel(options.coarse), options.noise)
+    fitted = fit_fabric(scans, start, options.rounds, corrections=options.corrections)
     for number, one in enumerate(fitted.rounds):
         told = ratios(fitted.numbers, fitted.energy, one.values, Coefficients.of(planted).values)
         shown = ", ".join(f"{name} {value:.3f}" for name, value in told.items())

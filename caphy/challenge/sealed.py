@@ -14,6 +14,8 @@ from typing import Any
 from caphy.errors import CaphyError
 
 NAME = "sealed.json"
+KEYS = ("hidden", "effects", "outside", "verdict", "alike")
+"""What every answer says."""
 
 
 def seal(answer: Mapping[str, Any]) -> tuple[str, str]:
@@ -28,17 +30,22 @@ def seal(answer: Mapping[str, Any]) -> tuple[str, str]:
     return json.dumps({"schema": "caphy-challenge-1", "sha256": digest, "sealed": packed}, indent=1), digest
 
 
-def opened(folder: Path) -> dict[str, Any]:
-    """The answer in a challenge's folder; raises :class:`CaphyError` if it is missing or was tampered with."""
+def opened(folder: Path) -> tuple[dict[str, Any], str]:
+    """The answer in a challenge's folder and its hash; raises :class:`CaphyError` if it is missing or does not match.
+
+    Whoever writes another answer writes another hash: it must be the one that was said when the challenge was made.
+    """
     path = folder / NAME
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         content = zlib.decompress(base64.b85decode(document["sealed"]))
-        answer = json.loads(content)["answer"]
+        answer, digest = json.loads(content)["answer"], document["sha256"]
+        if missing := [key for key in KEYS if key not in answer]:
+            raise KeyError(*missing)
     except OSError as error:
         raise CaphyError(f"{path}: cannot be read: {error.strerror}; make one with caphy challenge new") from error
     except (ValueError, KeyError, TypeError, zlib.error) as error:
         raise CaphyError(f"{path}: is no sealed answer of a challenge: {error!r}") from error
-    if hashlib.sha256(content).hexdigest() != document["sha256"]:
+    if hashlib.sha256(content).hexdigest() != digest:
         raise CaphyError(f"{path}: the answer does not match its hash; it was changed after it was sealed")
-    return answer
+    return answer, digest

@@ -120,7 +120,7 @@ def _is_there(command: New) -> bool:
     from caphy.challenge.sealed import opened
 
     try:
-        answer = opened(command.output)
+        answer, _ = opened(command.output)
     except CaphyError:
         return False
     wanted = {"seed": command.seed, "scene": command.scene, "noise_mm": command.noise, "points": command.points}
@@ -131,8 +131,9 @@ def reveal(command: Reveal) -> None:
     """Open the answer."""
     from caphy.challenge.sealed import opened
 
-    answer = opened(command.folder)
+    answer, digest = opened(command.folder)
     effects = answer["effects"] or {}
+    print(f"sealed answer, SHA-256 {digest}: the one that was printed when the challenge was made?")
     print(f"hidden: {answer['hidden']}")
     for name, values in effects.items():
         print(f"  {name}: " + ", ".join(f"{key} {_short(value)}" for key, value in values.items()))

@@ -99,12 +99,12 @@ def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBu
 
         return read_bundle(folder)
     from caphy.effects.model import Model
+    from caphy.effects.own import use_file
     from caphy.effects.presets import fabric_model, snug_model
-    from caphy.effects.registry import register_file
     from caphy.material.fabrics import fabric_names
 
     for file in effect_files:
-        register_file(file)
+        use_file(file)
     if path.suffix == ".json" or path.exists():
         return Model.load(path)
     if name == "snug":

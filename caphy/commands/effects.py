@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from caphy.effects.model import Model
 
 EffectFiles = tuple[Path, ...]
+_ALWAYS = ("documented", "finite", "gradient_is_slope", "hessian_is_slope", "degenerate_is_finite")
+"""Properties that no effect rightly lacks."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,8 @@ def main(arguments: list[str]) -> int:
             _table(_fabric_rows())
         case List():
             _table(_effect_rows())
+        case Show(names=()):
+            raise CaphyError("name the effects to show; caphy effects list lists them")
         case Show():
             print("\n\n".join(_description(find_effect(name)) for name in command.names))
         case Check():
@@ -193,7 +197,7 @@ def _check_one(name: str) -> int:
     """Put one effect to the test; returns how many properties it fails."""
     from caphy.effects.battery import CHECKS
 
-    failed, lacks = [], find_effect(name).lacks
+    failed, fails, lacks = [], [], find_effect(name).lacks
     for check in CHECKS:
         what, why = check.__name__.replace("_", " "), lacks.get(check.__name__)
         verdict = "ok" if why is None else f"FAILED  has what it says that it lacks ({why})"
@@ -206,6 +210,7 @@ def _check_one(name: str) -> int:
             verdict = f"FAILED  {error}" if why is None else f"lacks it, as it says: {why}"
         except Exception as error:
             verdict = f"FAILED  {type(error).__name__}: {error}"
+            fails.append(check.__name__)
         if verdict.startswith("FAILED"):
             failed.append(check.__name__)
         print(f"{name}  {what}: {verdict}")
@@ -214,6 +219,6 @@ def _check_one(name: str) -> int:
         if key not in names:
             failed.append(key)
             print(f"{name}  lacks: FAILED  there is no property {key!r}; there are {', '.join(sorted(names))}")
-    if rightly := [key for key in failed if key in names and key not in lacks]:
+    if rightly := [key for key in failed if key in names and key not in (*lacks, *fails, *_ALWAYS)]:
         print(f'what it rightly lacks it may say: lacks = {{"{rightly[0]}": "why"}}')
     return len(failed)

@@ -113,7 +113,8 @@ def _refit(command: RefitCommand, model: Model, crew: Crew) -> None:
     name = Path(command.model).stem
     _write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
     print(f"\n{command.output}\n{page}")
-    print(f"next: caphy train --init AVATAR --model {command.output} ...   (the network learns it)")
+    files = "".join(f" --effect-file {file}" for file in command.effect_file)
+    print(f"next: caphy train --init AVATAR --model {command.output}{files} ...   (the network learns it)")
 
 
 def table(found: Refit) -> str:

@@ -109,11 +109,11 @@ def _garment(name: str):
 
 def _model(command: Simulate):
     from caphy.effects.model import Model
+    from caphy.effects.own import use_file
     from caphy.effects.presets import fabric_model, snug_model
-    from caphy.effects.registry import register_file
 
     for file in command.effect_file:
-        register_file(file)
+        use_file(file)
     if command.model is not None:
         return Model.load(command.model)
     return snug_model() if command.fabric is None else fabric_model(command.fabric)

@@ -167,8 +167,8 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     from caphy.body.bundled import default_body
     from caphy.body.model import BodyModel
     from caphy.effects.cloth import Cloth
+    from caphy.effects.own import use_file
     from caphy.effects.potential import Potential
-    from caphy.effects.registry import register_file
     from caphy.garment.template import Garment
     from caphy.network.garment_network import GarmentNetwork
     from caphy.training.initial import read_initial, read_likeness
@@ -180,7 +180,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     _take_device(options.device)
     torch.manual_seed(options.seed)
     for file in options.effect_file:
-        register_file(file)
+        use_file(file)
     options = _found(options)
     garment = Garment.load(options.garment)
     initial = None if options.init is None else read_initial(options.init, garment)

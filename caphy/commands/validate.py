@@ -49,15 +49,15 @@ def main(arguments: list[str]) -> None:
     from caphy.body.model import BodyModel
     from caphy.effects.cloth import Cloth
     from caphy.effects.model import Model
+    from caphy.effects.own import use_file
     from caphy.effects.potential import Potential
-    from caphy.effects.registry import register_file
     from caphy.garment.template import Garment
     from caphy.network.files import load_network
     from caphy.training.reference import Comparison, compare_with_solver
     from caphy.training.validate import stream_drift
 
     for file in options.effect_file:
-        register_file(file)
+        use_file(file)
     network = load_network(options.run / "network.safetensors")
     garment, model = Garment.load(options.run / "garment.npz"), Model.load(options.run / "model.json")
     body = BodyModel.load(Path(settings["body"])) if settings.get("body") else default_body()

@@ -16,6 +16,7 @@ from caphy.measure.scene import Scene
 _SIZE = (0.6, 1.6)  # median length of an edge over its rest length
 _SPREAD = 2.5  # ratio of the 90th to the 10th percentile of the same
 _SAME = 1.1  # ratio of edges at rest up to which two measurements may be of one cloth
+_SHARED = 0.25  # of the frames of the shorter: films without noise may begin alike, but no more than that
 _STILL = 6.0  # standard deviations of the noise that cloth must move in two frames to tell their order
 _TURNS = 0.85  # step to the next frame over step to the one after: 0.5 on a straight path, 1 for shuffled frames
 
@@ -37,19 +38,23 @@ def require_one_cloth(**parts: Sequence[Measurement]) -> None:
     """
     named = [(part.replace("_", "-"), measurement) for part, them in parts.items() for measurement in them]
     of: dict[str, Any] = {"faces": None}
+    frames = [_frames(measurement) for _, measurement in named]
     for number, (part, measurement) in enumerate(named):
         where = measurement.source or measurement.name
-        for other, before in named[:number]:
-            if other == part and _same(measurement, before):
+        for (other, before), known in zip(named[:number], frames, strict=False):
+            shared = len(frames[number] & known)
+            if shared < _SHARED * min(len(frames[number]), len(known)):
+                continue
+            same = "the same frames as" if shared == len(frames[number]) == len(known) else f"{shared} of the frames of"
+            if other == part:
                 raise CaphyError(
-                    f"{where}: holds the same frames as {before.source or before.name}; one motion given twice is not "
-                    "twice the evidence: give it once"
+                    f"{where}: holds {same} {before.source or before.name}; one motion given twice is not twice the "
+                    "evidence: give it once"
                 )
-            if other != part and _same(measurement, before):
-                raise CaphyError(
-                    f"{where}: is the {part} measurement, and {before.source or before.name}, the {other} one, holds "
-                    "the same frames; what was learned or fitted there proves nothing here: give another motion"
-                )
+            raise CaphyError(
+                f"{where}: holds {same} {before.source or before.name}, one as the {part} and one as the {other} "
+                f"measurement; what was learned or fitted there proves nothing here: give another motion"
+            )
         if measurement.rest_vertices is None or measurement.faces is None:
             continue
         lengths = _lengths(measurement.rest_vertices, measurement.faces)
@@ -67,9 +72,10 @@ def require_one_cloth(**parts: Sequence[Measurement]) -> None:
             )
 
 
-def _same(one: Measurement, other: Measurement) -> bool:
-    first, second = (m.points if m.vertices is None else m.vertices for m in (one, other))
-    return first is not None and second is not None and np.array_equal(first, second, equal_nan=True)
+def _frames(measurement: Measurement) -> set[bytes]:
+    """What was seen in each frame; frames of cloth that is perfectly still count once."""
+    clouds = (measurement.cloud(int(frame)) for frame in measurement.seen_frames)
+    return {cloud.tobytes() for cloud in clouds}
 
 
 def _lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -196,7 +196,7 @@ def _turned(at: Moment, rotation: Tensor, shift: Tensor) -> Moment:
 
 
 def same_in_every_frame(name: str) -> None:
-    """Turning and shifting cloth, history and body together changes no energy."""
+    """Turning cloth, history and body together changes no energy."""
     cloth = irregular_cloth()
     at = moment(cloth)
     angle = torch.tensor(1.1, dtype=torch.float64)
@@ -204,9 +204,18 @@ def same_in_every_frame(name: str) -> None:
     rotation = torch.stack([c, -s, o, s, c, o, o, o, one]).reshape(3, 3) @ torch.stack(
         [one, o, o, o, c, s, o, -s, c]
     ).reshape(3, 3)
-    shift = torch.tensor((0.3, -0.2, 0.5), dtype=torch.float64)
-    before, after = _energy(name, cloth, at), _energy(name, cloth, _turned(at, rotation, shift))
+    turned = _turned(at, rotation, torch.zeros(3, dtype=torch.float64))
+    before, after = _energy(name, cloth, at), _energy(name, cloth, turned)
     assert abs(after - before) <= 1e-9 * abs(before), f"energy {before:g} J became {after:g} J"
+
+
+def same_in_every_place(name: str) -> None:
+    """Shifting cloth, history and body together changes no force."""
+    cloth, potential = irregular_cloth(), _potential(name, irregular_cloth())
+    at = moment(cloth)
+    there = _turned(at, torch.eye(3, dtype=torch.float64), torch.tensor((0.3, -0.2, 0.5), dtype=torch.float64))
+    before, after = (potential.gradient(each.x, each.step, each.body)[1] for each in (at, there))
+    _close(after, before, "force in another place (what is not to be differentiated reads e.lagged_velocity)", 1e-9)
 
 
 def no_net_force(name: str) -> None:
@@ -375,19 +384,25 @@ def parameters_are_guarded(name: str) -> None:
 
 
 def degenerate_is_finite(name: str) -> None:
-    """Triangles without area and edges without length give finite energies, gradients and Hessians."""
+    """Triangles without area, edges without length, and cloth at rest give finite energies, gradients and Hessians."""
     cloth = irregular_cloth()
     at, potential = moment(cloth), _potential(name, cloth)
     collapsed = at.x.clone()
     collapsed[cloth.faces[::3, 1]] = collapsed[cloth.faces[::3, 0]]
     flattened = at.x * torch.tensor((1.0, 0.0, 0.0), dtype=torch.float64)
-    for x in (collapsed, flattened, torch.zeros_like(at.x)):
-        lagged = replace(at.step, lagged=x)
+    rest = torch.as_tensor(cloth.vertices)
+    told = [(x, replace(at.step, lagged=x)) for x in (collapsed, flattened, torch.zeros_like(at.x))]
+    for x, lagged in (*told, (rest, Step.implicit_euler(DT, rest, rest))):
         energy, gradient = potential.gradient(x, lagged, at.body)
         (_, term, elements), *_ = potential.acting(x, lagged, at.body)
-        parts = (energy, gradient, term.effect.hessian(elements, term.values))
-        parts += (term.effect.projected_hessian(elements, term.values), *term.effect.gradient(elements, term.values))
-        assert all(bool(part.isfinite().all()) for part in parts), "degenerate triangles must give finite numbers"
+        _all_finite(energy, gradient, term.effect.hessian(elements, term.values))
+        _all_finite(term.effect.projected_hessian(elements, term.values), *term.effect.gradient(elements, term.values))
+
+
+def _all_finite(*parts: Tensor) -> None:
+    assert all(bool(part.isfinite().all()) for part in parts), (
+        "degenerate triangles, and cloth at rest, must give finite numbers"
+    )
 
 
 def left_out_in_statics(name: str) -> None:
@@ -409,6 +424,7 @@ CHECKS: tuple[Callable[[str], None], ...] = (
     hessian_is_slope,
     projection_is_semidefinite,
     same_in_every_frame,
+    same_in_every_place,
     no_net_force,
     rests_at_rest,
     units_fit,

@@ -7,7 +7,7 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -22,6 +22,7 @@ from caphy.effects.units import dimensions
 from caphy.errors import CaphyError
 
 _from_files: dict[str, type[Effect]] = {}
+_file_of: dict[str, Path] = {}
 
 
 def _defined_in(module: ModuleType) -> list[type[Effect]]:
@@ -66,16 +67,7 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
     ``beside`` are the names of all effects in the same file.
     """
     where = f"{path}: {effect.__name__}"
-    if effect.name in _installed():
-        raise CaphyError(f"{where}: there already is an effect {effect.name!r}; give yours another name")
-    if getattr(effect, "element", None) not in get_args(ElementKind):
-        raise CaphyError(f"{where}: element must be one of {', '.join(get_args(ElementKind))}")
-    if effect.group not in get_args(Group):
-        raise CaphyError(f"{where}: group must be one of {', '.join(get_args(Group))}")
-    if not isinstance(getattr(effect, "reference", None), str):
-        raise CaphyError(f"{where}: reference must say where the effect comes from")
-    if effect.energy is Effect.energy:
-        raise CaphyError(f"{where}: must define energy(self, e, p)")
+    _check_declared(effect, where)
     for key, declared in effect.parameters.items():
         _check_parameter(f"{where}: parameter {key}", declared)
     if effect.refines is not None and effect.refines not in {*_installed(), *_from_files, *beside} - {effect.name}:
@@ -92,6 +84,27 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
                 f"{where}: further must look for one number {key} in [{declared.lower:g}, {declared.upper:g}] "
                 f"{declared.unit}, got {values}"
             )
+
+
+def _check_declared(effect: type[Effect], where: str) -> None:
+    if not isinstance(effect.name, str) or not effect.name.isidentifier():
+        raise CaphyError(f"{where}: name must be like my_effect (a Python name), got {effect.name!r}")
+    if effect.name in _installed():
+        raise CaphyError(f"{where}: there already is an effect {effect.name!r}; give yours another name")
+    if getattr(effect, "element", None) not in get_args(ElementKind):
+        raise CaphyError(f"{where}: element must be one of {', '.join(get_args(ElementKind))}")
+    if effect.group not in get_args(Group):
+        raise CaphyError(f"{where}: group must be one of {', '.join(get_args(Group))}")
+    if not isinstance(getattr(effect, "reference", None), str):
+        raise CaphyError(f"{where}: reference must say where the effect comes from")
+    if effect.energy is Effect.energy:
+        raise CaphyError(f"{where}: must define energy(self, e, p)")
+    if not isinstance(effect.lacks, Mapping):
+        raise CaphyError(f"{where}: lacks must map names of properties to reasons, got {effect.lacks!r}")
+    try:
+        effect()
+    except Exception as error:
+        raise CaphyError(f"{where}: must be made without arguments, but {type(error).__name__}: {error}") from error
 
 
 def _check_parameter(where: str, declared: Parameter) -> None:
@@ -131,5 +144,9 @@ def register_file(path: Path) -> list[str]:
         raise CaphyError(f"{path}: defines no subclass of caphy.effects.base.Effect with a name")
     for effect in effects:
         _check(effect, path, {each.name for each in effects})
+        other = _file_of.get(effect.name, path) if effect.name in _from_files else path
+        if other.resolve() != path.resolve() or sum(each.name == effect.name for each in effects) > 1:
+            raise CaphyError(f"{path}: there is another effect {effect.name!r} in {other}; give one another name")
     _from_files.update({effect.name: effect for effect in effects})
+    _file_of.update({effect.name: path for effect in effects})
     return [effect.name for effect in effects]

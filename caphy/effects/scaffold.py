@@ -23,7 +23,7 @@ class {class_name}(Effect):
     element's k vertices [m]; e.velocity [m/s], e.lagged (positions of the step before) and e.dt [s] in motion; e.body
     with point, normal, velocity and anchor (3, ..., n) if needs_body; e.rest, what rest() gives. The component axis
     comes before the frames and the elements: use dot, cross and norm of caphy.effects.vectors. A force that you know
-    instead of an energy is the potential -force . x, its force evaluated at e.lagged.
+    instead of an energy is the potential -force . x, its force evaluated at e.lagged and e.lagged_velocity.
     """
 
     name = "{name}"
@@ -58,7 +58,12 @@ def write_scaffold(name: str, path: Path) -> None:
     if name in registered_effects():
         raise CaphyError(f"there already is an effect {name!r}; give yours another name")
     words = name.strip("_").split("_")
-    text = TEMPLATE.format(name=name, title=" ".join(words).capitalize(), class_name="".join(map(str.title, words)))
+    class_name = "".join(map(str.title, words))
+    if not class_name.isidentifier() or keyword.iskeyword(class_name):
+        raise CaphyError(f"the name of an effect must be like my_effect, and no word of Python's, got {name!r}")
+    if path.suffix != ".py":
+        raise CaphyError(f"{path}: an effect's file must be a .py file")
+    text = TEMPLATE.format(name=name, title=" ".join(words).capitalize(), class_name=class_name)
     try:
         _write_new(path, text)
     except FileExistsError as error:

@@ -18,7 +18,10 @@ class WindField(Air):
     """
 
     name = "wind_field"
-    lacks = {"same_in_every_frame": "the wind has a place and a direction in the world"}
+    lacks = {
+        "same_in_every_frame": "the wind has a direction in the world",
+        "same_in_every_place": "the wind has a place in the world",
+    }
     group = "wind"
     power = 0
     parameters = {

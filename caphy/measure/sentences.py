@@ -24,13 +24,14 @@ def sentences(figures: dict) -> list[str]:
 
 def _headline(figures: dict) -> str:
     error, floor, prediction = figures["error"], figures["floor"], figures["prediction"]
-    what = "vertices lie" if prediction["matched_vertices"] else "measured points lie"
+    what = "The model's vertices" if prediction["matched_vertices"] else "The measured points"
     way = (
         f"restarted every {prediction['window_frames']} frames ({prediction['windows']} windows)"
         if prediction["restarted"]
         else "running freely"
     )
-    text = f"The model's {what} {_mm(error['median_mm'])} off (median; 95 % within {_mm(error['p95_mm'])}), {way}."
+    of = "" if prediction["matched_vertices"] else " the model"
+    text = f"{what} lie {_mm(error['median_mm'])} off{of} (median; 95 % within {_mm(error['p95_mm'])}), {way}."
     parts = []
     if floor["noise_median_mm"] is not None:
         parts.append(f"noise explains {_mm(floor['noise_median_mm'])}")

@@ -129,12 +129,13 @@ def curve_sentences(rows: list[dict]) -> list[str]:
     said = [f"The model's forces are {100 * relative:.0f} % off (median over {len(rows)} loadings, rms over each)."]
     low = [r["mean_error_by_third_n_per_m"][0] for r in rows if None not in r["mean_error_by_third_n_per_m"]]
     high = [r["mean_error_by_third_n_per_m"][2] for r in rows if None not in r["mean_error_by_third_n_per_m"]]
+    often = " in four of five loadings or more" if len(high) > 1 else ""
     if low and np.mean(np.array(low) > 0) >= 0.8 and np.mean(np.array(high) < 0) >= 0.8:
         said.append("It is too stiff at small and too soft at large strains: the cloth stiffens, the model does not.")
     elif high and np.mean(np.array(high) > 0) >= 0.8:
-        said.append("It is too stiff at large strains in four of five loadings or more.")
+        said.append(f"It is too stiff at large strains{often}.")
     elif high and np.mean(np.array(high) < 0) >= 0.8:
-        said.append("It is too soft at large strains in four of five loadings or more.")
+        said.append(f"It is too soft at large strains{often}.")
     return [*said, *_anisotropy(rows)]
 
 

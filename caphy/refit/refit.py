@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,24 +92,34 @@ def refit(
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
-    again = None if _refused(errors, fitted) else fitted_again(study, fitted, variance)
+    again = None if _refused(errors, fitted, numbers, kept) else fitted_again(study, fitted, variance)
     if again is not None:
         fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
         numbers = intervals(fitted, learned, len(study.scenes))
-    if why := _refused(errors, fitted):
+    if why := _refused(errors, fitted, numbers, kept):
         why = f"{why}: {', '.join(kept) or 'the new parameters'} refused"
         return Refit(model, (), names, numbers, errors, why, fitted.share)
     return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share)
 
 
-def _refused(errors: HeldOut, fitted: Fit) -> str:
-    """Why a fit does not hold on held-out measurements; empty where it does."""
-    if errors.share >= max(PROVEN * fitted.share, LEAST):
-        return ""
-    return (
-        f"on held-out measurements the misfit must fall by a third of what it falls by where the model is fitted "
-        f"({100 * fitted.share:.1f} %) and by {100 * LEAST:.0f} %, but falls by {100 * errors.share:.1f} %"
-    )
+def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: Sequence[str]) -> str:
+    """Why a fit does not hold on held-out measurements, or nothing is known of what was added; empty where all is well.
+
+    ``numbers`` begin with a value and its interval.
+    """
+    if added and not any(low > 0 or high < 0 for _, low, high, *_ in numbers.values()):
+        return "none of its numbers is surely different from zero"
+    if errors.share < max(PROVEN * fitted.share, LEAST):
+        return (
+            f"on held-out measurements the misfit must fall by a third of what it falls by where the model is fitted "
+            f"({100 * fitted.share:.1f} %) and by {100 * LEAST:.0f} %, but falls by {100 * errors.share:.1f} %"
+        )
+    if errors.after_mm >= errors.before_mm:
+        return (
+            f"on held-out measurements the median distance must fall, but it goes from {errors.before_mm:.2f} to "
+            f"{errors.after_mm:.2f} mm"
+        )
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

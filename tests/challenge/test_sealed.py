@@ -22,7 +22,7 @@ def test_an_answer_comes_back_and_its_text_does_not_show_it(tmp_path):
     assert digest in text
     assert seal(ANSWER)[1] != digest  # the salt
     (tmp_path / NAME).write_text(text)
-    assert opened(tmp_path) == ANSWER
+    assert opened(tmp_path) == (ANSWER, digest)
 
 
 def test_a_changed_answer_is_refused(tmp_path):
@@ -31,6 +31,23 @@ def test_a_changed_answer_is_refused(tmp_path):
     (tmp_path / NAME).write_text(json.dumps(document))
     with pytest.raises(CaphyError, match="does not match its hash"):
         opened(tmp_path)
+
+
+@pytest.mark.parametrize("missing", ["sha256", "sealed", "effects"])
+def test_an_answer_with_something_missing_is_told(tmp_path, missing, capsys):
+    document = json.loads(seal({key: value for key, value in ANSWER.items() if key != missing})[0])
+    document.pop(missing, None)
+    (tmp_path / NAME).write_text(json.dumps(document))
+    assert main(["challenge", "reveal", str(tmp_path)]) == 2
+    assert f"no sealed answer of a challenge: KeyError('{missing}')" in capsys.readouterr().err
+
+
+def test_the_hash_is_said_again(tmp_path, capsys):
+    """Whoever seals another answer has another hash."""
+    text, digest = seal(ANSWER)
+    (tmp_path / NAME).write_text(text)
+    assert main(["challenge", "reveal", str(tmp_path)]) == 0
+    assert f"SHA-256 {digest}" in capsys.readouterr().out
 
 
 def test_a_missing_answer_says_how_to_make_one(tmp_path, capsys):
@@ -67,7 +84,7 @@ def test_an_earlier_diagnosis_is_not_judged_by_a_new_challenge(tmp_path, capsys)
 def test_the_same_challenge_made_again_keeps_its_diagnosis(tmp_path):
     this = New(seed=1, output=tmp_path)
     assert not _is_there(this)
-    text, _ = seal({"seed": 1, "scene": "square", "noise_mm": 1.0, "points": None})
+    text, _ = seal({**ANSWER, "seed": 1, "scene": "square", "noise_mm": 1.0, "points": None})
     (tmp_path / NAME).write_text(text)
     assert _is_there(this)
     for other in (replace(this, seed=2), replace(this, points=2500), replace(this, scene="skirt")):

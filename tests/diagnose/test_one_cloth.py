@@ -47,8 +47,19 @@ def test_nothing_counts_twice():
 
 
 def test_nothing_proves_itself():
-    with pytest.raises(CaphyError, match="is the held-out measurement, and sheet 1, the diagnosed one"):
+    with pytest.raises(CaphyError, match="frames as sheet 1, one as the held-out and one as the diagnosed"):
         require_one_cloth(diagnosed=[sheet(seed=1)], base=[], held_out=[sheet(seed=1)])
+
+
+def test_a_part_of_a_motion_is_no_other_motion():
+    whole, other = sheet(40, seed=1), sheet(40, seed=2)
+    part = replace(whole, vertices=whole.vertices[20:])
+    with pytest.raises(CaphyError, match="holds 20 of the frames of sheet 1, one as the held-out"):
+        require_one_cloth(diagnosed=[whole], held_out=[part])
+    with pytest.raises(CaphyError, match="one motion given twice"):
+        require_one_cloth(diagnosed=[part, whole])
+    began_alike = replace(other, vertices=np.concatenate([whole.vertices[:5], other.vertices]))
+    require_one_cloth(diagnosed=[whole], held_out=[began_alike])
 
 
 @pytest.mark.parametrize("faces", [[[0, 1, 1]], [[0, 1, 6]], [[0, 6, 1]]])

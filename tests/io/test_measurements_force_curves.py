@@ -41,6 +41,15 @@ def test_plain_table(tmp_path):
     assert np.isnan(first.transverse).all()
 
 
+def test_a_strip_that_is_let_go_and_cells_that_are_empty(tmp_path):
+    path = tmp_path / "linen.csv"
+    head = "axial_strain,transverse_strain,force_per_width_N_per_m\n"
+    path.write_text(head + "0,,0,\n0.1,-0.02,5,\n0.2,,11,\n0.1,-0.01,4,\n0,0,0,\n")
+    (curve,) = read_force_curves(path)
+    np.testing.assert_array_equal(curve.transverse, [np.nan, -0.02, np.nan, -0.01, 0])
+    assert len(curve.force) == 5
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -48,6 +57,18 @@ def test_plain_table(tmp_path):
         ("axial_strain,force_per_width_N_per_m\n0,0\nx,1\n1,2\n", "line 3: axial_strain must be a number, got 'x'"),
         ("strain,force\n0,0\n", "needs the columns"),
         ("axial_strain,force_per_width_N_per_m\n", "header and rows"),
+        (
+            "axial_strain,force_per_width_N_per_m\n0,0,0,0\n0,05,1,2\n0,1,2,4\n",
+            "line 2 has more cells than the first line names",
+        ),
+        (
+            "axial_strain,force_per_width_N_per_m\n0,0\n.1,1\n.2,2\n0,0\n.1,3\n.2,6\n",
+            "bad weft, loading 1: its strain falls and rises again by 0.2",
+        ),
+        (
+            "axial_strain,force_per_width_N_per_m\n0,0\n.1,1\n.2,2\n0,0\n.1,3\n.21,6\n",
+            "more than one loading; number them",
+        ),
         ("direction,axial_strain,force_per_width_N_per_m\nup,0,0\nup,0.1,1\nup,0.2,2\n", "'weft' or 'warp', got 'up'"),
     ],
 )

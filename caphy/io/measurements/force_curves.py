@@ -15,6 +15,8 @@ from caphy.errors import CaphyError
 COLUMNS: Final = ("axial_strain", "transverse_strain", "force_per_width_N_per_m")
 KNIT_COLUMNS: Final = ("sample", "video", "force_per_width_N_per_m", "gauge_len_mm", "pin_transverse_mm")
 _RATIO: Final = 0.5  # smallest strain of a curve from which on lengths over rest lengths were given
+_AGAIN: Final = 0.5
+"""Share of its largest strain by which a curve that falls and rises again is more than one."""
 UNLOADED: Final = 1.0
 """Force per width below which a sample counts as unloaded [N/m]; load cells of such tests resolve about 0.1."""
 
@@ -102,11 +104,17 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
             f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got "
             f"{', '.join(map(str, names))}; the first line names them; commas part columns, points decimals"
         )
+    surplus = next((line for line, row in rows if any(row.get(None) or ())), None)  # pyright: ignore
+    if surplus is not None:
+        raise CaphyError(
+            f"{path}: line {surplus} has more cells than the first line names; commas part columns, points decimals"
+        )
     curves = []
     for (fabric, direction, loading), part in _groups(rows, ("fabric", "direction", "loading")).items():
         columns = [_column(part, name, path) if name in names else np.full(len(part), np.nan) for name in COLUMNS]
         axial, transverse, force = columns
         number = _loading(loading, path, part[0][0])
+        _require_one_loading(axial, f"{path}: {fabric or path.stem} {direction or 'weft'}, loading {number}")
         curves.append(ForceCurve(fabric or path.stem, direction or "weft", number, axial, transverse, force, str(path)))
     return curves
 
@@ -122,6 +130,20 @@ def _loading(text: str, path: Path, line: int) -> int:
             f"{path}: line {line}: loading must be 1 for the first loading of a strip, then 2, 3, ..., got {text!r}"
         )
     return int(number)
+
+
+def _require_one_loading(axial: np.ndarray, where: str) -> None:
+    """A strip is pulled once, and may be let go: rows that begin anew are of another loading, or another strip."""
+    most = float(axial.max(initial=0.0))
+    falls = np.maximum.accumulate(axial) - axial
+    peak = int(axial.argmax()) if len(axial) else 0
+    rises = axial[peak:] - np.minimum.accumulate(axial[peak:])
+    again = max(float(falls[:peak].max(initial=0.0)), float(rises.max(initial=0.0)))
+    if np.isfinite(axial).all() and again > _AGAIN * most:
+        raise CaphyError(
+            f"{where}: its strain falls and rises again by {again:.3g}, so that it holds more than one loading; number "
+            "them 1, 2, 3, ... in the column loading, and give strips other names in the column fabric"
+        )
 
 
 def _knit_curves(rows: Sequence[_Row], path: Path) -> list[ForceCurve]:
@@ -162,7 +184,8 @@ def _column(part: Sequence[_Row], name: str, path: Path) -> np.ndarray:
     values = []
     for line, row in part:
         try:
-            values.append(float(row[name]))
+            unknown = name == "transverse_strain" and row[name] == ""
+            values.append(np.nan if unknown else float(row[name]))
         except (TypeError, ValueError) as error:
             raise CaphyError(f"{path}: line {line}: {name} must be a number, got {row[name]!r}") from error
     return np.array(values)

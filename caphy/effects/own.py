@@ -1,0 +1,50 @@
+"""A user's own effects, tried once before hours of work depend on them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from caphy.effects.base import Step, companions
+from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.effects.registry import find_effect, register_file
+from caphy.effects.trial import DT, irregular_cloth, moment
+from caphy.errors import CaphyError
+
+
+def use_file(path: Path) -> list[str]:
+    """Register the effects of a user's file as :func:`caphy.effects.registry.register_file`, and try each of them on a
+    small cloth, shaken and at rest; returns their names.
+
+    Raises:
+        CaphyError: one cannot be registered, fails, or is not finite there.
+    """
+    names = register_file(path)
+    for name in names:
+        _try(name, path)
+    return names
+
+
+def _try(name: str, path: Path) -> None:
+    effect, where = find_effect(name), f"{path}: {name}"
+    advice = f"see caphy effects check --effect-file {path}"
+    if "finite" in effect.lacks:
+        return
+    cloth = irregular_cloth()
+    at, rest = moment(cloth), torch.as_tensor(cloth.vertices)
+    still = Step.implicit_euler(DT, rest, rest)
+    try:
+        potential = Potential(Model(cloth.density, {**{other: {} for other in companions(effect)}, name: {}}), cloth)
+        told = {
+            "shaken cloth": potential.gradient(at.x, at.step, at.body),
+            "cloth at rest": potential.gradient(rest, still, at.body),
+        }
+    except CaphyError as error:
+        raise CaphyError(f"{where}: {error}; {advice}") from error
+    except Exception as error:
+        raise CaphyError(f"{where} fails on a shaken cloth: {type(error).__name__}: {error}; {advice}") from error
+    for what, parts in told.items():
+        if not all(bool(part.isfinite().all()) for part in parts):
+            raise CaphyError(f"{where} must have a finite energy and gradient, but has none on {what}; {advice}")

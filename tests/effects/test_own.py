@@ -1,0 +1,112 @@
+"""A user's own effects are tried before work depends on them, and told apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from test_registry import WIND
+
+from caphy.cli import main
+from caphy.effects import registry
+from caphy.effects.battery import degenerate_is_finite, same_in_every_frame, same_in_every_place
+from caphy.effects.own import use_file
+from caphy.effects.registry import register_file
+from caphy.effects.scaffold import write_scaffold
+from caphy.errors import CaphyError
+
+ENERGY = '0.5 * e.dt * p["coefficient"] * e.rest["area"] * dot(slip, slip)'
+
+
+@pytest.fixture(autouse=True)
+def _nobody_else_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_from_files", {})
+
+
+def _written(path: Path, old: str = "", new: str = "") -> Path:
+    assert old in WIND
+    path.write_text(WIND.replace(old, new) if old else WIND)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("energy", "says"),
+    [
+        (f"float('nan') * {ENERGY}", "must have a finite energy and gradient, but has none on shaken cloth"),
+        ('e.rest["area"] * dot(v, v).sqrt()', "but has none on cloth at rest"),
+        ("None", "must return the energy of each element"),
+        ("1 / 0", "fails on a shaken cloth: ZeroDivisionError"),
+    ],
+)
+def test_what_does_not_work_is_said_with_its_file(tmp_path, energy, says):
+    path = _written(tmp_path / "mine.py", ENERGY, energy)
+    with pytest.raises(CaphyError, match=f"mine.py: my_wind.*{says}.*caphy effects check --effect-file"):
+        use_file(path)
+
+
+def test_what_works_is_taken(tmp_path):
+    assert use_file(_written(tmp_path / "mine.py")) == ["my_wind"]
+    assert use_file(tmp_path / "mine.py") == ["my_wind"]  # once more by another command
+
+
+def test_two_effects_of_one_name_are_told(tmp_path):
+    register_file(_written(tmp_path / "mine.py"))
+    with pytest.raises(CaphyError, match=r"there is another effect 'my_wind' in .*mine\.py"):
+        register_file(_written(tmp_path / "other.py"))
+    twice = tmp_path / "twice.py"
+    twice.write_text((WIND + WIND.replace("MyWind", "Other")).replace('"my_wind"', '"twofold"'))
+    with pytest.raises(CaphyError, match="there is another effect 'twofold'"):
+        register_file(twice)
+
+
+@pytest.mark.parametrize(
+    ("new", "says"),
+    [
+        ("name = 7", "name must be like my_effect"),
+        ('name = "my effect!"', "name must be like my_effect"),
+        ('name = "my_wind"\n    lacks = ["finite"]', "lacks must map"),
+        ('name = "my_wind"\n\n    def __init__(self, size):\n        self.size = size', "made without arguments"),
+    ],
+)
+def test_effects_of_the_wrong_kind_are_refused(tmp_path, new, says):
+    with pytest.raises(CaphyError, match=says):
+        register_file(_written(tmp_path / "mine.py", 'name = "my_wind"', new))
+
+
+def test_a_place_in_the_world_is_told_from_a_direction(tmp_path):
+    """A force read at the velocity that is solved for is multiplied by the place when it is differentiated."""
+    push = 'e.rest["area"] * p["coefficient"] * (slip[0] * e.x[0, 0])'
+    register_file(_written(tmp_path / "mine.py", ENERGY, push))
+    with pytest.raises(AssertionError):
+        same_in_every_frame("my_wind")
+    with pytest.raises(AssertionError, match="force in another place"):
+        same_in_every_place("my_wind")
+    lagged = push.replace("slip[0]", "e.lagged_velocity[0, 0]")
+    register_file(_written(tmp_path / "mine.py", ENERGY, lagged))
+    same_in_every_place("my_wind")
+
+
+def test_cloth_at_rest_must_be_finite_too(tmp_path):
+    register_file(_written(tmp_path / "mine.py", ENERGY, 'e.rest["area"] * dot(v, v).sqrt()'))
+    with pytest.raises(AssertionError, match="cloth at rest"):
+        degenerate_is_finite("my_wind")
+
+
+@pytest.mark.parametrize("name", ["_", "_1", "true", "none", "false"])
+def test_a_scaffold_is_python(tmp_path, name):
+    with pytest.raises(CaphyError, match="no word of Python's"):
+        write_scaffold(name, tmp_path / "effect.py")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scaffold_is_a_py_file(tmp_path):
+    with pytest.raises(CaphyError, match=r"must be a \.py file"):
+        write_scaffold("lift", tmp_path / "lift.txt")
+
+
+def test_what_an_effect_never_rightly_lacks_is_not_advised(tmp_path, capsys):
+    path = _written(tmp_path / "mine.py", ENERGY, f"float('nan') * {ENERGY}")
+    assert main(["effects", "check", "--effect-file", str(path)]) == 1
+    assert '"finite": "why"' not in capsys.readouterr().out
+    assert main(["effects", "show"]) == 2
+    assert "name the effects to show" in capsys.readouterr().err
