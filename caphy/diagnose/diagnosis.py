@@ -155,7 +155,7 @@ def diagnose(
     start = model if known is None else known.model
     if known is not None and known.changed:
         study, others = study.registered_by(start), others and others.registered_by(start)
-    found = search(study, start, model, known)
+    found = search(study, start, model, known, others is not None)
     while (term := _doubtful(found, known, len(study.scenes))) is not None:
         take_back(study, found, term)
 

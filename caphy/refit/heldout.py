@@ -55,6 +55,12 @@ class HeldOut:
         fallen = int((self.after < self.before).sum())
         return float(binom.sf(fallen - 1, len(self.before), 0.5))
 
+    @property
+    def falls_surely(self) -> bool:
+        """Whether the median falls by 3 %, or at all and in nearly all windows."""
+        falls = self.after_mm < self.before_mm and self.sign_test < BY_CHANCE
+        return falls or self.after_mm < FALLS * self.before_mm
+
     def proves(self, share: float) -> bool:
         """Whether what takes away a share of the misfit elsewhere holds here.
 

@@ -93,8 +93,35 @@ def test_a_further_effect_that_cannot_come_to_enough_is_not_fitted_to_the_end(pr
     monkeypatch.setattr(search, "_told_by_tangents", lambda *_: (near, {"pressure": fit}))
     monkeypatch.setattr(search, "_more", lambda *_: 0.01)
     monkeypatch.setattr(search, "refined", lambda *_: asked.append(1) or fit)
-    assert search._next_term(SimpleNamespace(), found, True) is None
+    assert search._next_term(SimpleNamespace(), found, True, False) is None
     assert bool(asked) == goes_on
+
+
+@pytest.mark.parametrize(
+    ("share", "held_out", "own", "slight"),
+    [
+        (0.03, False, 0.0, None),
+        (0.03, True, 0.0, True),
+        (0.03, True, 0.8, True),
+        (0.03, True, 0.9, None),  # a parameter that is off explains as much
+        (0.06, True, 0.9, False),
+    ],
+)
+def test_a_slight_further_effect_is_let_in_where_held_out_windows_can_prove_it(
+    share, held_out, own, slight, monkeypatch
+):
+    fit = SimpleNamespace(promise=0.0, converged=True, misfit=290.0)
+    near = score(PRESSURE, 0.2 * search.SMALL)
+    known = SimpleNamespace(weight=None)
+    scores = [near, score(STIFFNESS, own * near.gain)]
+    found = Search([SimpleNamespace(needed=0.02, misfit=300.0, variance=None, evidence=known, scores=scores)])
+    found.terms = [Term(DRAG, fit, {})]
+    monkeypatch.setattr(search, "finalists", lambda *_: [near])
+    monkeypatch.setattr(search, "_told_by_tangents", lambda *_: (near, {"pressure": fit}))
+    monkeypatch.setattr(search, "_more", lambda *_: share)
+    monkeypatch.setattr(search, "retold", lambda *_: fit)
+    term = search._next_term(SimpleNamespace(), found, True, held_out)
+    assert (None if term is None else term.slight) == slight
 
 
 def held_out(share: float, error: float, after_mm: float = 2.95) -> HeldOut:
@@ -153,10 +180,54 @@ def test_each_further_effect_must_lower_the_held_out_median(medians, kept, monke
         found.fit = "drag" if term.group is PRESSURE else "pressure"
 
     monkeypatch.setattr(proof, "take_back", without)
-    before = Search(terms=[SimpleNamespace(group=group) for group in (DRAG, PRESSURE)], fit="both")  # type: ignore
+    before = Search(terms=[Term(group, SimpleNamespace(), {}) for group in (DRAG, PRESSURE)], fit="both")  # type: ignore
     found = proof.each_proven(None, before, lambda fit: held_out(0.1, 0.03, medians[fit]))  # type: ignore
     assert [term.group.label for term in found.terms] == kept
     assert len(before.terms) == 2
+
+
+@pytest.mark.parametrize(
+    ("lost", "held_out", "left"),
+    [
+        (0.02, False, [("pressure", False)]),  # next to nothing
+        (0.02, True, [("mass_damping", True), ("pressure", False)]),  # held-out windows must prove it
+        (0.005, True, [("pressure", False)]),
+        (0.04, True, [("mass_damping", False), ("pressure", False)]),
+    ],
+)
+def test_what_costs_little_is_taken_back_or_must_be_proven(lost, held_out, left, monkeypatch):
+    def without(study, found, term):
+        found.terms = [other for other in found.terms if other is not term]
+
+    monkeypatch.setattr(search, "_lost", lambda *_: lost)
+    monkeypatch.setattr(search, "take_back", without)
+    terms = [Term(group, SimpleNamespace(), {}) for group in (DRAG, PRESSURE)]  # type: ignore
+    found = Search([SimpleNamespace(needed=0.01)], terms, fit=SimpleNamespace())  # type: ignore
+    search._eliminate(SimpleNamespace(), found, held_out)  # type: ignore
+    assert [(term.group.label, term.slight) for term in found.terms] == left
+
+
+@pytest.mark.parametrize(
+    ("with_it", "kept"),
+    [
+        ([2.29, 2.29, 2.29, 2.29, 2.29], True),  # 1 of 32 by chance
+        ([2.29, 2.29, 2.29, 2.29, 2.31], False),
+        ([2.1, 2.1, 2.31, 2.31, 2.1], True),  # by more than 3 %
+        ([2.31, 2.31, 2.31, 2.31, 2.31], False),
+    ],
+)
+def test_a_slight_effect_must_lower_held_out_errors_by_much_or_nearly_everywhere(with_it, kept, monkeypatch):
+    def without(study, found, term):
+        found.terms, found.fit = found.terms[:1], "drag"
+
+    def judged(fit):
+        after = np.array(with_it if fit == "both" else [2.3] * 5)
+        return HeldOut(3.0, float(np.median(after)), 1.5, np.full(5, 3.0), after, 0.1, 0.03)
+
+    monkeypatch.setattr(proof, "take_back", without)
+    terms = [Term(DRAG, SimpleNamespace(), {}), Term(PRESSURE, SimpleNamespace(), {}, slight=True)]  # type: ignore
+    found = proof.each_proven(None, Search(terms=terms, fit="both"), judged)  # type: ignore
+    assert (len(found.terms) == 2) is kept
 
 
 def test_numbers_that_may_all_be_zero_name_nothing():
