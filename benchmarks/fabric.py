@@ -23,7 +23,7 @@ from caphy.effects.presets import fabric_model
 from caphy.fabric.certainty import Certainty
 from caphy.fabric.coefficients import Coefficients
 from caphy.fabric.rounds import Fitted, Objective, fit_fabric, ratios
-from caphy.garment.lattice import finer
+from caphy.garment.subdivision import Subdivision
 from caphy.material.fabrics import fabric
 
 
@@ -66,7 +66,7 @@ def main(options: Options) -> None:
     print(
         f"{options.count} stills of {options.planted} (stretching x {options.stretch:g}, bending x {options.bend:g}, "
         f"density x {options.density:g}) on {len(stills.truth.vertices)} vertices; fitted on "
-        f"{len(coarse.vertices)}, the mesh's error told by {len(finer(coarse, shorter=0.5).garment.vertices)}",
+        f"{len(coarse.vertices)}, the mesh's error told by {len(Subdivision.of(coarse).garment.vertices)}",
         flush=True,
     )
     fitted = _print_recovery(options, stills, planted, start)

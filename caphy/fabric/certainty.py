@@ -13,6 +13,9 @@ from caphy.fabric.rounds import Fitted, ratios
 REPLICAS = 200
 LEVEL = 0.95
 """Of the intervals."""
+DOUBTED = 2 / 3
+"""Share of what taking off the mesh's error moved a table by that half an interval is at least: half as long edges leave
+a third of it if it falls with their square, and hinges that lie otherwise as much again."""
 WIDEST = 2.0
 """Upper over lower end of a table's interval from which on its stiffness counts as not determined."""
 
@@ -34,6 +37,7 @@ class Certainty:
     def of(cls, fitted: Fitted, seed: int = 0) -> Certainty:
         """By bootstrap over the scans of the last round (Efron 1979), widened by Student's t for the few there are.
 
+        What the mesh gets wrong all scans share: :data:`DOUBTED` of what taking it off moved a table by counts besides.
         Where a number lies at its bound, or a round is not long enough, an interval is too narrow; the rounds that led
         here are not drawn again.
         """
@@ -50,6 +54,7 @@ class Certainty:
         spread = (
             np.std(logs, axis=0) * np.sqrt(many / max(many - 1, 1)) * student.ppf(0.5 + LEVEL / 2, max(many - 1, 1))
         )
+        spread = np.hypot(spread, [DOUBTED * abs(_moved_by_mesh(fitted, name)) for name in numbers.names])
         middle = [np.log(max(fitted.stiffness[name], 1e-12)) for name in numbers.names]
         low = {name: float(np.exp(m - s)) for name, m, s in zip(numbers.names, middle, spread, strict=True)}
         high = {name: float(np.exp(m + s)) for name, m, s in zip(numbers.names, middle, spread, strict=True)}
@@ -58,6 +63,12 @@ class Certainty:
             for name in numbers.names
         }
         return cls(low, high, determined)
+
+
+def _moved_by_mesh(fitted: Fitted, name: str) -> float:
+    """How far a table went, as a logarithm, since the error of the mesh was taken off for the first time."""
+    before = next((one.stiffness[name] for one in fitted.rounds if one.corrected), fitted.stiffness[name])
+    return float(np.log(max(fitted.stiffness[name], 1e-12) / max(before, 1e-12)))
 
 
 def _moves(fitted: Fitted, name: str) -> bool:

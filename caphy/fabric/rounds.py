@@ -16,7 +16,7 @@ from caphy.fabric.coefficients import Coefficients
 from caphy.fabric.evidence import Said, by_force, by_response, of_the_mesh
 from caphy.fabric.states import Layer, Lying
 from caphy.fabric.stills import Worn
-from caphy.garment.lattice import finer
+from caphy.garment.subdivision import Subdivision
 from caphy.kept import Kept
 
 Objective = Literal["response", "force"]
@@ -237,25 +237,20 @@ class _Scans:
         return []
 
     def correct(self, values: np.ndarray) -> None:
-        """Find what the mesh does: the cloth of each scan brought to rest with edges half as long as well.
-
-        That much is taken off, not the four thirds of it that the whole error would be, did it fall with the square of
-        edges: at the true fabric these make bending a tenth too stiff.
-        """
-        garment = self.worn[0].garment
-        mesh = finer(garment, garment.attached > 0, shorter=0.5)
+        """Find what the mesh does: the cloth of each scan brought to rest with each face cut in four as well."""
+        finer = Subdivision.of(self.worn[0].garment)
         density = self.numbers.start.density
         model = self.numbers.model(values)
-        coarse = Layer(model, Cloth.of(garment, density), self.kept)
-        fine = Layer(model, Cloth.of(mesh.garment, density), self.kept)
+        coarse = Layer(model, Cloth.of(self.worn[0].garment, density), self.kept)
+        fine = Layer(model, Cloth.of(finer.garment, density), self.kept)
         for one in self.worn:
             name = one.still.name
             if name in self.left_out or name not in self._lying:
                 continue
             try:
                 lying = self._lying[name] = coarse.lie(one, self._lying[name].drawn, seek=False)
-                worn = Worn(one.still, one.body, mesh.garment)
-                refined = fine.lie(worn, mesh.carried(lying.drawn), seek=False)
+                worn = Worn(one.still, one.body, finer.garment)
+                refined = fine.lie(worn, finer.carried(lying.drawn), seek=False)
             except CaphyError as error:
                 self.left_out[name] = str(error)
                 continue

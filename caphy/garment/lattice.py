@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial import Delaunay, KDTree
 
 from caphy.body.surface import nearest_on_surface
-from caphy.garment.subdivision import Subdivision
 from caphy.garment.template import Garment
 from caphy.garment.topology import boundary_edges, edges, face_areas
 
@@ -35,17 +34,18 @@ class Lattice:
         garment: the fine one.
         ends: of the coarse vertices in the middle of which each fine vertex lies (N, 2), both the same where it is one
             of them; -1 where it lies within a face.
-        shorter: its edges over the coarse ones, were those equilateral triangles'.
     """
 
     garment: Garment
     ends: np.ndarray
     _onto_fine: tuple[np.ndarray, np.ndarray]  # corners (N, 3) and their weights
     _onto_coarse: tuple[np.ndarray, np.ndarray]
-    shorter: float = SHORTER
+
+    shorter = SHORTER
+    """Its edges over the coarse ones."""
 
     @classmethod
-    def of(cls, coarse: Garment, fixed: np.ndarray | None = None, shorter: float = SHORTER) -> Lattice | None:
+    def of(cls, coarse: Garment, fixed: np.ndarray | None = None) -> Lattice | None:
         """Skinning and attachment are interpolated. None where the cloth is not flat, its faces differ much in size, or
         a lattice would not keep its rim.
 
@@ -62,7 +62,7 @@ class Lattice:
         kept = np.concatenate([np.repeat(single, 2).reshape(-1, 2), np.unique(double, axis=0)])
         flat, metric = plane
         points = flat[kept].mean(axis=1)
-        meshed = _meshed(flat, coarse.faces, points, rim, shorter)
+        meshed = _meshed(flat, coarse.faces, points, rim)
         if meshed is None:
             return None
         points, faces = meshed
@@ -82,7 +82,7 @@ class Lattice:
             attached=in_all,
             **between,
         )
-        return cls(garment, ends, onto_fine, (faces[back.face], back.barycentric), shorter)
+        return cls(garment, ends, onto_fine, (faces[back.face], back.barycentric))
 
     def carried(self, x: np.ndarray) -> np.ndarray:
         """A field (V, ...) of the coarse vertices on the fine ones (N, ...)."""
@@ -91,11 +91,6 @@ class Lattice:
     def seen(self, x: np.ndarray) -> np.ndarray:
         """A field (N, ...) of the fine vertices at the coarse ones (V, ...)."""
         return _mixed(x, *self._onto_coarse)
-
-
-def finer(coarse: Garment, fixed: np.ndarray | None = None, shorter: float = SHORTER) -> Lattice | Subdivision:
-    """The mesh that tells a coarse one's error: a lattice where the cloth is flat, else each face cut in four."""
-    return Lattice.of(coarse, fixed, shorter) or Subdivision.of(coarse)
 
 
 def _plane(garment: Garment) -> tuple[np.ndarray, np.ndarray] | None:
@@ -122,11 +117,11 @@ def _plane(garment: Garment) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _meshed(
-    flat: np.ndarray, faces: np.ndarray, kept: np.ndarray, rim: np.ndarray, shorter: float
+    flat: np.ndarray, faces: np.ndarray, kept: np.ndarray, rim: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Points (N, 2), the ``kept`` ones first, and faces of a lattice within a rim (R, 2) of edges."""
     total = float(face_areas(flat, faces).sum())
-    edge = shorter * np.sqrt(total / len(faces) * 4 / np.sqrt(3))
+    edge = SHORTER * np.sqrt(total / len(faces) * 4 / np.sqrt(3))
     low, high = flat.min(axis=0), flat.max(axis=0)
     reach = int(np.linalg.norm(high - low) / edge) + 2
     i, j = np.meshgrid(np.arange(-reach, reach), np.arange(-reach, reach))

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from caphy.garment.lattice import finer
+from caphy.garment.lattice import Lattice
+from caphy.garment.subdivision import Subdivision
 from caphy.measure.scene import Scene
 from caphy.measure.windows import WindowRun, roll_out
 from caphy.solve.body_motion import BodyMotion
@@ -29,7 +30,7 @@ class FinerMesh:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._mesh = finer(scene.garment, scene.fixed)
+        self._mesh = Lattice.of(scene.garment, scene.fixed) or Subdivision.of(scene.garment)
         garment, motion = self._mesh.garment, scene.motion
         if isinstance(motion, BodyMotion):
             motion = BodyMotion(motion.body, motion.poses, garment, motion.betas)

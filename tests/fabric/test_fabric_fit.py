@@ -186,10 +186,9 @@ def test_a_mesh_of_quarters_is_the_same_cloth():
 
 
 def test_the_mesh_s_error_is_taken_off():
-    """Scans of a finer mesh, unlike the one that tells the error: at the true fabric a coarse one asks for another, and
-    for less once it is corrected."""
+    """Scans of a finer mesh: at the true fabric a coarse one asks for another, and for less once it is corrected."""
     numbers = Coefficients.of(PLANTED)
-    worn = Stills(PLANTED, 13, turns(3, 4), 4).scans(panel(6), 0.0, spacing=0.01)
+    worn = Stills(PLANTED, 11, turns(3, 4), 4).scans(panel(6), 0.0, spacing=0.01)
     scans = _Scans(tuple(worn), numbers, "response", None, None)
     table = np.concatenate([np.where(numbers.group == 0, numbers.values, 0), np.zeros(len(CONTACT))])
     asked, misfit = [], []  # asked of the stretching; bending next to nothing here
@@ -286,6 +285,22 @@ def test_what_scans_do_not_tell_is_not_determined_and_keeps_the_start_s_table():
     told = {row["name"]: row["found"] for row in document["numbers"]}
     assert told["bending_measured.bending[0,0]"] == NOT_DETERMINED
     assert told["strain_measured.stretching[0,0]"] == pytest.approx(1.2 * numbers.values[0], rel=0.05)
+
+
+@pytest.mark.parametrize(("before", "wide"), [(None, False), (1.19, False), (0.8, True)])
+def test_what_the_mesh_moved_is_doubted(before, wide):
+    """All scans share its error, so that their disagreement does not tell it."""
+    numbers = Coefficients.of(PLANTED)
+    said = tuple(_said(numbers, np.ones(len(numbers.values), bool), 0.2 * numbers.values, seed) for seed in range(8))
+    values = solve(Pooled.of(said), numbers, numbers.values)
+    history = (Round(numbers.values, said, dict.fromkeys(numbers.names, before), 1e-3, before is not None),)
+    fitted = Fitted(numbers, values, history)
+    sure = Certainty.of(fitted)
+    for name in numbers.names:
+        half = np.log(sure.high[name] / sure.low[name]) / 2
+        moved = 0.0 if before is None else abs(np.log(fitted.stiffness[name] / before))
+        assert half >= 2 / 3 * moved
+        assert (half > 0.2) == wide
 
 
 def test_scans_that_disagree_leave_a_table_undetermined():
