@@ -14,8 +14,8 @@ REPLICAS = 200
 LEVEL = 0.95
 """Of the intervals."""
 DOUBTED = 2 / 3
-"""Share of what taking off the mesh's error moved a table by that half an interval is at least: half as long edges leave
-a third of it if it falls with their square, and hinges that lie otherwise as much again."""
+"""Share of what taking off the mesh's error moved a table by that half an interval is at least: half as long edges
+leave a third of it if it falls with their square, and hinges that lie otherwise as much again."""
 WIDEST = 2.0
 """Upper over lower end of a table's interval from which on its stiffness counts as not determined."""
 
