@@ -90,7 +90,7 @@ def _refit(command: RefitCommand, model: Model, crew: Crew) -> None:
     body = None if command.body is None else BodyModel.load(command.body)
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
-    require_one_cloth(measured=measured, base=calm, held_out=proof)
+    require_one_cloth(fitted=measured, base=calm, held_out=proof)
     with Progress("refit") as progress:
         learned = base_of(model, calm, garment, body, progress, crew)
         found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
