@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -107,10 +108,21 @@ class Windows:
             )
         spread = np.linspace(0, len(self.frames) - 1, min(CHECKED, len(self.frames)))
         self.checked = frozenset(self.frames[i] for i in spread.astype(int))
-        self._simulator, self._finer = scene.simulator(self._potential, TOLERANCE), FinerMesh(scene)
-        self._fine = self._finer.scene.simulator(self._finer.scene.potential(model), TOLERANCE)
-        noise = measurement_noise(scene.measurement)
-        self._sigma = 0.0 if noise is None else noise.sigma
+        self._model = model
+
+    @cached_property  # not made where other processes roll out
+    def _simulator(self) -> Simulator:
+        return self.scene.simulator(self._potential, TOLERANCE)
+
+    @cached_property
+    def _finer(self) -> tuple[FinerMesh, Simulator]:
+        finer = FinerMesh(self.scene)
+        return finer, finer.scene.simulator(finer.scene.potential(self._model), TOLERANCE)
+
+    @cached_property
+    def _sigma(self) -> float:
+        noise = measurement_noise(self.scene.measurement)
+        return 0.0 if noise is None else noise.sigma
 
     def work(self, frame: int) -> int:
         """What a window takes, in roll-outs."""
@@ -126,7 +138,8 @@ class Windows:
         if frame in self.checked:
             slow = roll_out(self.scene, self._simulator, state, frame, length=until, substeps=FINER * SUBSTEPS)
             errors[0] = np.linalg.norm(slow.positions - run.positions, axis=-1)
-            by_mesh = self._finer.difference(self._fine, state, run)
+            finer, fine = self._finer
+            by_mesh = finer.difference(fine, state, run)
             errors[1] = _share_seen(self.scene.measurement, run, by_mesh) * np.linalg.norm(by_mesh, axis=-1)
             again = _restarted(self.scene, self._potential, self._simulator, state, frame, until, self._sigma)
             errors[2, : len(again)] = again
