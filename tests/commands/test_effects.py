@@ -72,7 +72,7 @@ def test_check_finds_what_is_wrong_with_a_users_file(tmp_path: Path, capsys: pyt
     path.write_text(WRONG)
     assert main(["effects", "check", "--effect-file", str(path)]) == 1
     printed = capsys.readouterr().out
-    for check in ("documented", "gradient is slope", "units fit", "same in every frame"):
+    for check in ("documented", "gradient is slope", "units fit", "same in every place"):
         assert f"wrong  {check}: FAILED" in printed
     assert "wrong  finite: ok" in printed and "Traceback" not in printed
 
