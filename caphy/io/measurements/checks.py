@@ -31,7 +31,7 @@ REACH: Final = 0.45
 TORN: Final = 4.0
 """Ratio of the longest tenth of one frame's edges to the shortest, over their lengths at rest, that no cloth has."""
 FAR: Final = 3.0
-"""Times its length at rest that no edge has at a vertex that was seen."""
+"""Times as long as the usual edge of a frame that the edges of a vertex are not that was seen among its neighbours."""
 SHEARED: Final = 1.6
 """Ratio of the edges of one face, over their lengths in another rest shape, from which it counts as another's ..."""
 WRONG: Final = 0.2
@@ -169,8 +169,9 @@ def _torn_off(measurement: Measurement, frame: int, vertex: int) -> bool:
     assert measurement.faces is not None
     pairs = _edges(measurement.faces)
     length = np.linalg.norm(np.diff(measurement.vertices[frame][pairs], axis=1)[:, 0], axis=-1)
-    own = (pairs == vertex).any(axis=1)
-    return bool(own.any() and np.nanmedian(length[own]) > FAR * np.nanmedian(length))
+    known = np.isfinite(length)
+    own = known & (pairs == vertex).any(axis=1)
+    return bool(own.any() and np.median(length[own]) > FAR * np.median(length[known]))
 
 
 def _require_no_repeats(measurement: Measurement) -> None:
