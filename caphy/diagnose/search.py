@@ -309,7 +309,9 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool, held_out: 
         chosen = _simplest(near, shares, sure_of_parameters)
     label = chosen.group.label
     best = fits[label]
-    least = max(last.needed, _FURTHER if found.terms and not held_out else 0.0)
+    least = last.needed
+    if found.terms:  # beside a strong effect base measurements do not tell what is found where nothing is missing
+        least = max(least, LEAST_GAIN if held_out else _FURTHER)
     if _more(last, best) + _HOPE * best.promise / last.misfit < least:
         return None
     if not best.converged:
