@@ -167,7 +167,7 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     return found
 
 
-def predicted(scene: Scene, model: Model, progress: Progress, crew: Crew, length: int = 8) -> Prediction:
+def predicted(scene: Scene, model: Model, progress: Progress, crew: Crew, length: int = Compare.window) -> Prediction:
     """What a physics model says where a measurement was taken, in windows of ``length`` frames; clouds are registered
     with its help."""
     from caphy.measure.prediction import predict_in_windows

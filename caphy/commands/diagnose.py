@@ -20,6 +20,7 @@ from caphy.io.places import writable_folder
 if TYPE_CHECKING:
     from caphy.diagnose.diagnosis import Diagnosis
     from caphy.effects.model import Model
+    from caphy.io.measurements import Measurement
     from caphy.refit.crew import Crew
 
 
@@ -62,8 +63,9 @@ def main(arguments: list[str]) -> None:
         return
     from caphy.refit.crew import Crew
 
+    read = _read(command)  # before any process is begun
     with unfinished(command.output / UNFINISHED) as kept, Crew(command.effect_file, kept=kept) as crew:
-        diagnosis = _diagnosed(command, model, crew)
+        diagnosis = _diagnosed(command, model, read, crew)
         write(diagnosis, command, model)
         if command.held_out and diagnosis.verdict in ("named", "parameters"):
             _before_after(model, diagnosis.model, command, crew)
@@ -85,18 +87,23 @@ def physics_model(name: str, effect_files: tuple[Path, ...]) -> Model:
     return model
 
 
-def _diagnosed(command: Diagnose, model: Model, crew: Crew) -> Diagnosis:
+def _read(command: Diagnose) -> list[list[Measurement]]:
+    """What is diagnosed, base and held-out measurements."""
+    from caphy.io.measurements import read_measurement
+
+    return [
+        [read_measurement(path) for path in paths] for paths in (command.measurements, command.base, command.held_out)
+    ]
+
+
+def _diagnosed(command: Diagnose, model: Model, read: Sequence[Sequence[Measurement]], crew: Crew) -> Diagnosis:
     import torch
 
     from caphy.body.model import BodyModel
     from caphy.diagnose.diagnosis import diagnose
     from caphy.garment.template import Garment
-    from caphy.io.measurements import read_measurement
 
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
-    read = [
-        [read_measurement(path) for path in paths] for paths in (command.measurements, command.base, command.held_out)
-    ]
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
     with Progress("diagnosis") as progress:

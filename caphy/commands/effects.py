@@ -197,7 +197,7 @@ def _check_one(name: str) -> int:
     """Put one effect to the test; returns how many properties it fails."""
     from caphy.effects.battery import CHECKS
 
-    failed, fails, lacks = [], [], find_effect(name).lacks
+    failed, broke, lacks = [], [], find_effect(name).lacks
     for check in CHECKS:
         what, why = check.__name__.replace("_", " "), lacks.get(check.__name__)
         verdict = "ok" if why is None else f"FAILED  has what it says that it lacks ({why})"
@@ -210,7 +210,7 @@ def _check_one(name: str) -> int:
             verdict = f"FAILED  {error}" if why is None else f"lacks it, as it says: {why}"
         except Exception as error:
             verdict = f"FAILED  {type(error).__name__}: {error}"
-            fails.append(check.__name__)
+            broke.append(check.__name__)
         if verdict.startswith("FAILED"):
             failed.append(check.__name__)
         print(f"{name}  {what}: {verdict}")
@@ -219,6 +219,6 @@ def _check_one(name: str) -> int:
         if key not in names:
             failed.append(key)
             print(f"{name}  lacks: FAILED  there is no property {key!r}; there are {', '.join(sorted(names))}")
-    if rightly := [key for key in failed if key in names and key not in (*lacks, *fails, *_ALWAYS)]:
+    if rightly := [key for key in failed if key in names and key not in (*lacks, *broke, *_ALWAYS)]:
         print(f'what it rightly lacks it may say: lacks = {{"{rightly[0]}": "why"}}')
     return len(failed)

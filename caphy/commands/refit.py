@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +17,10 @@ from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder
 
 if TYPE_CHECKING:
+    from caphy.body.model import BodyModel
     from caphy.effects.model import Model
+    from caphy.garment.template import Garment
+    from caphy.io.measurements import Measurement
     from caphy.refit.crew import Crew
     from caphy.refit.refit import Refit
 
@@ -64,16 +68,11 @@ def main(arguments: list[str]) -> None:
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")
     writable_file(command.output)
-    from caphy.refit.crew import Crew
-
-    with (
-        unfinished(command.output.with_suffix(f".{UNFINISHED}")) as kept,
-        Crew(command.effect_file, kept=kept) as crew,
-    ):
-        _refit(command, model, crew)
+    with unfinished(command.output.with_suffix(f".{UNFINISHED}")) as kept:
+        _refit(command, model, kept)
 
 
-def _refit(command: RefitCommand, model: Model, crew: Crew) -> None:
+def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     import torch
 
     from caphy.body.model import BodyModel
@@ -81,6 +80,7 @@ def _refit(command: RefitCommand, model: Model, crew: Crew) -> None:
     from caphy.diagnose.checks import require_one_cloth
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
+    from caphy.refit.crew import Crew
     from caphy.refit.refit import addable, refit
 
     addable(model, command.add)  # before the hours that base measurements take
@@ -91,9 +91,24 @@ def _refit(command: RefitCommand, model: Model, crew: Crew) -> None:
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
     require_one_cloth(fitted=measured, base=calm, held_out=proof)
-    with Progress("refit") as progress:
-        learned = base_of(model, calm, garment, body, progress, crew)
-        found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
+    with Crew(command.effect_file, kept=kept) as crew:
+        with Progress("refit") as progress:
+            learned = base_of(model, calm, garment, body, progress, crew)
+            found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
+        _write(command, model, found, measured, proof, crew, garment, body)
+
+
+def _write(
+    command: RefitCommand,
+    model: Model,
+    found: Refit,
+    measured: Sequence[Measurement],
+    proof: Sequence[Measurement],
+    crew: Crew,
+    garment: Garment | None,
+    body: BodyModel | None,
+) -> None:
+    """Say what was found, and write the model and its page, on which a measurement is shown before and after."""
     print(table(found))
     if not found.kept and command.add:
         print("The model stays as it was; nothing was written.")

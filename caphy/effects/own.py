@@ -44,7 +44,7 @@ def _try(name: str, path: Path) -> None:
     except CaphyError as error:
         raise CaphyError(f"{where}: {error}; {advice}") from error
     except Exception as error:
-        raise CaphyError(f"{where} fails on a shaken cloth: {type(error).__name__}: {error}; {advice}") from error
+        raise CaphyError(f"{where} fails on a small cloth: {type(error).__name__}: {error}; {advice}") from error
     for what, parts in told.items():
         if not all(bool(part.isfinite().all()) for part in parts):
             raise CaphyError(f"{where} must have a finite energy and gradient, but has none on {what}; {advice}")

@@ -107,7 +107,8 @@ def _require_metres(measurement: Measurement) -> None:
         )
 
 
-def _edges(faces: np.ndarray) -> np.ndarray:
+def mesh_edges(faces: np.ndarray) -> np.ndarray:
+    """The edges (E, 2) of triangles, each once."""
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     return np.unique(pairs, axis=0)
 
@@ -167,7 +168,7 @@ def _torn_off(measurement: Measurement, frame: int, vertex: int) -> bool:
     """Whether most edges of a vertex are far longer than the mesh's usually are in that frame."""
     assert measurement.vertices is not None
     assert measurement.faces is not None
-    pairs = _edges(measurement.faces)
+    pairs = mesh_edges(measurement.faces)
     length = np.linalg.norm(np.diff(measurement.vertices[frame][pairs], axis=1)[:, 0], axis=-1)
     known = np.isfinite(length)
     own = known & (pairs == vertex).any(axis=1)
@@ -205,7 +206,7 @@ def _require_same_mesh(measurement: Measurement) -> None:
     """Edges must be about as long as at rest: cloth does not stretch twofold, nor do vertices change places."""
     if measurement.rest_vertices is None or measurement.vertices is None or measurement.faces is None:
         return
-    a, b = _edges(measurement.faces).T
+    a, b = mesh_edges(measurement.faces).T
     rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
     frames = measurement.seen_frames
     each = [_lengths_over(measurement.vertices[frame], a, b, rest) for frame in frames]

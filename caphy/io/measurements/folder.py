@@ -15,6 +15,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.measurements.archive import ARRAYS, STEADY, from_arrays, to_arrays
+from caphy.io.measurements.checks import mesh_edges
 from caphy.io.measurements.measurement import Measurement
 
 DESCRIPTION: Final = "measurement.toml"
@@ -240,7 +241,9 @@ def _registered(
     same = arrays.get("faces", faces)
     known = _edges(same)
     for frame, (_, own) in meshes.items():
-        if len(own) and len(known) and len(known & _edges(own)) < _ALIKE * len(known):
+        if np.array_equal(own, same) or not len(own):
+            continue
+        if len(known & _edges(own)) < _ALIKE * len(known):
             other = "the rest mesh" if "faces" in arrays else files[first].name
             raise CaphyError(
                 f"{files[frame]}: its triangles are not those of {other}, so that its vertices are in another order; a "
@@ -251,8 +254,7 @@ def _registered(
 
 
 def _edges(faces: np.ndarray) -> set[tuple[int, int]]:
-    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    return set(map(tuple, pairs.tolist()))
+    return set(map(tuple, mesh_edges(faces).tolist()))
 
 
 def _clouds(meshes: dict[int, tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:
