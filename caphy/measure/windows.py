@@ -92,6 +92,7 @@ class StartStates:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: windows start from registered vertices, not from point clouds")
         self.scene, self.hold = scene, hold
+        self.cloth = potential.cloth
         self._held = _held(potential)
         self._newton = Newton(self._held, scene.fixed, TOLERANCE)
         self._solved: dict[int, np.ndarray] = {}
@@ -121,7 +122,7 @@ class StartStates:
 
     def _balance(self, frame: int) -> np.ndarray:
         """argmin of elasticity + weight + contact + m a.x + lambda/2 |x - P|^2 at a frame."""
-        fit, time, cloth = self._fit(frame), frame / self.scene.measurement.fps, self._held.cloth
+        fit, time, cloth = self._fit(frame), frame / self.scene.measurement.fps, self.cloth
         place = filled(fit.position, fit.known, cloth)
         push = cloth.mass[:, None] * filled(fit.acceleration, fit.known, cloth)
         rest = self._held.terms[HeldToData.name].rest

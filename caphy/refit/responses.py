@@ -17,7 +17,7 @@ from caphy.measure.finer import FinerMesh
 from caphy.measure.noise import measurement_noise
 from caphy.measure.rim import Rim
 from caphy.measure.scene import Scene
-from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, roll_out, window_starts
+from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, filled, roll_out, window_starts
 from caphy.refit.columns import Column, extended, moved
 from caphy.refit.modes import Projection, laplacian_modes, rim_modes
 from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
@@ -143,7 +143,7 @@ class Watched:
         finer, abrupt = None, self._abrupt(model, columns)
         for frame in starts:
             recorder.stages.clear()
-            sharp = self._sharpened(states.state(frame), frame)
+            sharp = self._sharpened(states, frame)
             state = states.state(frame) if sharp is None else sharp
             run = roll_out(self.scene, simulator, state, frame, length=self.length)
             if frame not in self._starts or "start" in anew:
@@ -186,23 +186,30 @@ class Watched:
         """The scene on a finer mesh."""
         return FinerMesh(self.scene)
 
-    @cached_property
-    def _tracks(self) -> np.ndarray:
-        """The measurement in the span of the modes (T, M, 3) [m]; NaN where too little was seen."""
+    def _track(self, frame: int, states: StartStates) -> np.ndarray | None:
+        """The measurement at a frame in the span of the modes (M, 3) [m]; None where too little was seen.
+
+        What was not seen stands where the balance has it, and as far from there as what is around it. Modes of the rest
+        alone would take what is rough in its shape for a part of theirs, another one in each frame, which a velocity
+        does not forgive.
+        """
         measurement = self.scene.measurement
         assert measurement.vertices is not None
-        tracks = np.full((len(measurement), self.projection.modes.shape[1], 3), np.nan)
-        for frame, seen in enumerate(measurement.observed):
-            if seen.mean() >= ENOUGH:
-                tracks[frame] = self.projection.of(measurement.vertices[frame], seen)
-        return tracks
+        if not 0 <= frame < len(measurement) or (seen := measurement.observed[frame]).mean() < ENOUGH:
+            return None
+        vertices = measurement.vertices[frame]
+        if not seen.all():
+            balanced = states.positions(frame)
+            vertices = balanced + filled(vertices - balanced, seen, states.cloth)
+        return self.projection.of(vertices, np.ones(len(seen), bool))
 
-    def _sharpened(self, state: State, frame: int) -> State | None:
+    def _sharpened(self, states: StartStates, frame: int) -> State | None:
         """A start whose smooth part follows the measurement: there noise is small, and a quartic through five frames
         tells velocities five times better than differences of balanced positions. None where a frame is missing."""
-        near = self._tracks[max(frame - 2, 0) : frame + 3]
-        if len(near) < 5 or np.isnan(near).any():
+        near = [self._track(f, states) for f in range(frame - 2, frame + 3)]
+        if any(track is None for track in near):
             return None
+        state = states.state(frame)
         velocity = (8 * (near[3] - near[1]) - (near[4] - near[0])) * (self.scene.measurement.fps / 12)
         every = np.ones(len(state.x), bool)
         x, v = (self.projection.of(field.numpy(), every) for field in (state.x, state.v))

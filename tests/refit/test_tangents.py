@@ -99,8 +99,8 @@ def test_nuisances_are_derivatives_by_the_start(watched, number, monkeypatch):
     here = responded(watched, DAMPED)
     sharpened, errors = watched._sharpened, watched._start(watched._blur)
 
-    def nudged(state, frame):
-        state = sharpened(state, frame)
+    def nudged(states, frame):
+        state = sharpened(states, frame)
         x, v = (0.01 * field[number - 2] * watched._free for field in (errors.x, errors.v))
         return replace(state, x=state.x + x, v=state.v + v)
 
