@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import sys
+from typing import NoReturn
 
 from caphy.errors import CaphyError
 
@@ -33,6 +34,7 @@ COMMANDS = {
     "serve": "serve avatars over HTTP",
     "demo": "serve the default avatar, send it a motion, write a GLB and a contact sheet",
 }
+INTERRUPTED = 128 + signal.SIGINT
 
 
 def usage() -> str:
@@ -40,6 +42,18 @@ def usage() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name.ljust(width)}  {summary}" for name, summary in COMMANDS.items()]
     return "\n".join(["usage: caphy COMMAND [OPTIONS]   (caphy COMMAND --help for more)", "", *lines])
+
+
+def command() -> NoReturn:
+    """Run what the command line asks for, as a program."""
+    status = main()
+    if status == INTERRUPTED:  # threads that write to processes which are gone would be waited for for ever
+        if (processes := sys.modules.get("multiprocessing.util")) is not None:
+            processes._run_finalizers(0)  # or its tracker complains of semaphores
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -70,7 +84,7 @@ def _run(name: str, rest: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
         return 128 + signal.SIGPIPE
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
     except OSError as error:  # a place that cannot be read or written, a full disk
         if error.strerror is None:
             raise
@@ -83,4 +97,4 @@ def _refused(name: str, why: str) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    command()

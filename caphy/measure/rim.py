@@ -54,6 +54,13 @@ class Rim:
         )
 
     @cached_property
+    def neighbours(self) -> np.ndarray:
+        """Pairs of edges (E, 2) that follow each other around a loop."""
+        around = [np.flatnonzero(self.loop == loop) for loop in np.unique(self.loop)]
+        pairs = [np.stack([index, np.roll(index, -1)], 1) for index in around]
+        return np.concatenate([*pairs, np.zeros((0, 2), int)])
+
+    @cached_property
     def _faces(self) -> np.ndarray:
         """Which faces lie near any edge at rest (F,)."""
         return np.logical_or.reduce(self.near)

@@ -136,21 +136,26 @@ class StartStates:
         return self._newton.minimise(guess, None, body)[0].numpy()
 
 
+def graph_laplacian(neighbours: np.ndarray, count: int):
+    """The Laplacian (count, count) of pairs (E, 2), in rows; what has no known neighbour is drawn to zero, weakly."""
+    from scipy.sparse import coo_array
+
+    a, b = neighbours.T
+    every = np.arange(count)
+    degree = np.bincount(np.r_[a, b], minlength=count) + 1e-9
+    entries = np.r_[-np.ones(2 * len(a)), degree]
+    return coo_array((entries, (np.r_[a, b, every], np.r_[b, a, every])), (count, count)).tocsr()
+
+
 def filled(field: np.ndarray, known: np.ndarray, cloth: Cloth) -> np.ndarray:
     """A vertex field (V, 3) whose unknown entries are the harmonic continuation of the known ones over the mesh."""
     if known.all():
         return field.copy()
-    from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve
 
-    a, b = cloth.edges.T
-    count, every = len(known), np.arange(len(known))
-    degree = np.bincount(np.r_[a, b], minlength=count) + 1e-9  # a piece without a known vertex goes to the origin
-    entries = np.r_[-np.ones(2 * len(a)), degree]
-    laplacian = coo_array((entries, (np.r_[a, b, every], np.r_[b, a, every])), (count, count)).tocsr()
-    value, unknown = np.where(known[:, None], field, 0.0), np.flatnonzero(~known)
-    right = -(laplacian[unknown][:, np.flatnonzero(known)] @ value[known])
-    value[unknown] = np.asarray(spsolve(laplacian[unknown][:, unknown].tocsc(), right)).reshape(-1, 3)
+    rows, value = graph_laplacian(cloth.edges, len(known))[~known], field.copy()
+    right = -(rows[:, known] @ field[known])
+    value[~known] = np.asarray(spsolve(rows[:, ~known].tocsc(), right)).reshape(-1, 3)
     return value
 
 

@@ -130,9 +130,10 @@ class Crew:
                 yield jobs[future], future.result()
         except BrokenProcessPool as error:
             raise CaphyError(f"a process that {what} died; is there memory enough for each core?") from error
-        finally:
+        except (GeneratorExit, Exception):  # not Ctrl-C, which the processes are ended by before they can be told
             for future in jobs:
                 future.cancel()
+            raise
 
 
 _KNOWN: dict[int, list[Watched]] = {}

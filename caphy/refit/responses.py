@@ -103,7 +103,7 @@ class Watched:
     def projection(self) -> Projection:
         """Onto the modes of the scene's cloth."""
         cloth = self.scene.potential(Model(1.0)).cloth
-        return Projection(laplacian_modes(cloth), cloth.vertex_area)
+        return Projection(laplacian_modes(cloth), cloth.vertex_area, cloth.edges)
 
     @cached_property
     def rim(self) -> Rim:
@@ -112,7 +112,7 @@ class Watched:
 
     @cached_property
     def _rim_projection(self) -> Projection:
-        return Projection(rim_modes(self.rim), self.rim.length)
+        return Projection(rim_modes(self.rim), self.rim.length, self.rim.neighbours)
 
     def starts(self) -> list[int]:
         """Frames at which whole windows can start."""
