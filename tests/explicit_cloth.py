@@ -118,19 +118,23 @@ def _forces(x, v, faces, inverse, area, lame, damping):
     force, f = np.zeros_like(x), np.empty((3, 2))
     for t in range(len(faces)):
         a, b, c = faces[t]
-        (i, j), (k, l) = inverse[t, 0], inverse[t, 1]
+        (i, j), (k, m) = inverse[t, 0], inverse[t, 1]
         weft = warp = shear = 0.0
         for axis in range(3):
             one, two = x[b, axis] - x[a, axis], x[c, axis] - x[a, axis]
-            p, q = one * i + two * k, one * j + two * l
+            p, q = one * i + two * k, one * j + two * m
             weft, warp, shear = weft + p * p / 2, warp + q * q / 2, shear + p * q / 2
             f[axis] = p, q
         weft, warp = weft - 0.5, warp - 0.5
-        on_weft, on_warp, across = lam * (weft + warp) + 2 * mu * weft, lam * (weft + warp) + 2 * mu * warp, 2 * mu * shear
+        on_weft, on_warp, across = (
+            lam * (weft + warp) + 2 * mu * weft,
+            lam * (weft + warp) + 2 * mu * warp,
+            2 * mu * shear,
+        )
         for axis in range(3):
             p, q = f[axis]
             one, two = area[t] * (p * on_weft + q * across), area[t] * (p * across + q * on_warp)
-            on_b, on_c = -(one * i + two * j), -(one * k + two * l)
+            on_b, on_c = -(one * i + two * j), -(one * k + two * m)
             force[b, axis] += on_b
             force[c, axis] += on_c
             force[a, axis] -= on_b + on_c

@@ -184,6 +184,15 @@ def _with_avatar(command: Compare, bundle: AvatarBundle, measurement: Measuremen
     from caphy.measure.avatar import matching_garment, predict_with_avatar
     from caphy.measure.comparison import compare
 
+    for option, given in (
+        ("--body", command.body is not None),
+        ("--window", command.window != Compare.window),
+        ("--effect-file", bool(command.effect_file)),
+    ):
+        if given:
+            raise CaphyError(
+                f"{option} is for physics models; {command.model} is an avatar, which moves as it was trained"
+            )
     garment = matching_garment(measurement, bundle, command.garment)
     prediction = predict_with_avatar(measurement, bundle, garment)
     names = np.array(garment.mesh.region_names)[garment.mesh.region]

@@ -122,8 +122,10 @@ def _lines(rows: list[tuple[str, ...]]) -> list[str]:
 
 def _histories(path: Path) -> list[str]:
     """Lines about a model's history, or of each garment's of an avatar."""
+    from caphy.commands.train import bundled
     from caphy.effects.model import Model
 
+    path = bundled(path)
     if not (path / MANIFEST).is_file():
         return _history(Model.load(path / "model.json" if path.is_dir() else path))
     from caphy.io.bundle import read_bundle

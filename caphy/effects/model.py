@@ -16,6 +16,8 @@ from caphy.effects.history import Revision, changes
 from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 
+_KEYS = {"schema", "density_kg_per_m2", "effects", "history"}
+
 ParameterValues = Mapping[str, Any]
 """Values by parameter: numbers or nested sequences when given, arrays once in a model."""
 
@@ -121,6 +123,10 @@ class Model:
         """Inverse of :meth:`to_json`; ``source`` names the file in errors."""
         try:
             data = json.loads(text)
+            if unknown := sorted(set(data) - _KEYS):
+                raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(_KEYS))}")
+            if isinstance(data["density_kg_per_m2"], bool):
+                raise TypeError("density_kg_per_m2 must be a number, got true or false")
             history = tuple(Revision.from_dict(entry) for entry in data.get("history", ()))
             return cls(float(data["density_kg_per_m2"]), data["effects"], history)
         except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from caphy.body.bundled import default_body
 from caphy.body.kinematics import joint_transforms
 from caphy.body.skinning import blend_transforms, skin
+from caphy.conventions import BODY_JOINT_COUNT
 from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle, BundledGarment
 from caphy.io.measurements import Measurement
@@ -15,6 +17,7 @@ from caphy.io.poses import PoseSequence
 from caphy.measure.prediction import Prediction
 from caphy.rotations import matrix_from_axis_angle
 
+_SAME_BODY = 0.02  # [m]
 _CHUNK = 120
 _FRAMES_PER_GROUP = 8  # rows that belong together when uncertainty is told, as in windows of the solver
 
@@ -50,20 +53,43 @@ def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment:
         material=measurement.material,
         body_vertices=_body(bundle, measurement.poses[frames], measurement.transl[frames]),
         body_faces=bundle.body.faces,
+        cautions=_another_body(measurement, bundle),
+    )
+
+
+def _another_body(measurement: Measurement, bundle: AvatarBundle) -> tuple[str, ...]:
+    """What must be said where the measured body is not the avatar's."""
+    if measurement.betas is None:
+        return ()
+    joints = default_body().rest(measurement.betas)[1]
+    apart = np.linalg.norm((joints - joints[0]) - (bundle.joints - bundle.joints[0]), axis=1)[:BODY_JOINT_COUNT].max()
+    if apart < _SAME_BODY:
+        return ()
+    return (
+        f"the measured body's betas put its joints up to {1000 * apart:.0f} mm from where the avatar's are in the rest "
+        "pose; an avatar wears its clothes on its own body",
     )
 
 
 def matching_garment(measurement: Measurement, bundle: AvatarBundle, name: str | None = None) -> BundledGarment:
     """The avatar's garment to compare: the named one, the one with the measured mesh, or the only one there is."""
-    if name is not None:
-        return bundle.garment(name)
     same = [
         g for g in bundle.garments if measurement.faces is not None and np.array_equal(g.mesh.faces, measurement.faces)
     ]
+    if name is not None:
+        named = bundle.garment(name)
+        if same and named not in same:
+            raise CaphyError(
+                f"{measurement.source}: its mesh is the avatar's {same[0].name}, not its {name}; give --garment "
+                f"{same[0].name}, or leave --garment out"
+            )
+        return named
     if len(same) == 1 or len(bundle.garments) == 1:
         return (same or list(bundle.garments))[0]
     names = ", ".join(g.name for g in bundle.garments)
-    raise CaphyError(f"{measurement.source}: which garment of avatar {bundle.name!r} is it? Give one of {names}")
+    raise CaphyError(
+        f"{measurement.source}: which garment of avatar {bundle.name!r} is it? Give --garment, one of {names}"
+    )
 
 
 def run_graph(garment: BundledGarment, poses: np.ndarray, transl: np.ndarray) -> np.ndarray:

@@ -88,6 +88,7 @@ def _prediction(prediction: Prediction) -> dict:
         "window_frames": int(prediction.lag.max()) if prediction.lag is not None else None,
         "matched_vertices": prediction.registered,
         "converged": float(prediction.converged.mean()),
+        "cautions": list(prediction.cautions),
     }
 
 

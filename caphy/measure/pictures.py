@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.sparse import coo_array
 
 from caphy.errors import CaphyError
 from caphy.measure.comparison import Comparison
@@ -16,6 +17,8 @@ from caphy.report.render import Shape, render
 
 SIDE = 360
 """Pixels of one picture."""
+RINGS = 3
+"""How many edges from a vertex where something was measured others show its colour."""
 _MEASURED = (0.45, 0.58, 0.72)
 
 
@@ -41,12 +44,30 @@ def track(comparison: Comparison) -> Track:
         faces=prediction.faces,
         frames=prediction.frames,
         fps=measurement.fps,
-        fields={name: 1e3 * values for name, values in fields.items() if np.isfinite(values).any()},
+        fields={
+            name: 1e3 * _spread(values, prediction.faces)
+            for name, values in fields.items()
+            if np.isfinite(values).any()
+        },
         measured=_measured(comparison),
         body=prediction.body_vertices,
         body_faces=prediction.body_faces,
         regions=comparison.regions,
     )
+
+
+def _spread(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Values at vertices (T, V), NaN where nothing was measured, told there too if something was within :data:`RINGS`
+    edges: of a coarser mesh, or a thin cloud, only specks would be coloured."""
+    count, pairs = values.shape[1], np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+    joined = coo_array((np.ones(len(a)), (a, b)), (count, count)).tocsr()
+    for _ in range(RINGS):
+        known = np.isfinite(values)
+        near = known.astype(float) @ joined
+        mean = (np.where(known, values, 0.0) @ joined) / np.maximum(near, 1)
+        values = np.where(known, values, np.where(near > 0, mean, np.nan))
+    return values
 
 
 def _measured(comparison: Comparison) -> np.ndarray | list[np.ndarray]:
@@ -64,7 +85,8 @@ def worst_moments(comparison: Comparison) -> tuple[Picture, ...]:
     for moment in comparison.figures["moments"]:
         row, frame = moment["row"], moment["frame"]
         model = prediction.vertices[row]
-        colours = error_colours(1e3 * comparison.errors.distance[row], largest)
+        distance = _spread(comparison.errors.distance[[row]], prediction.faces)[0]
+        colours = error_colours(1e3 * distance, largest)
         body = _body_shape(prediction, row)
         camera = Camera.framing(model, azimuth=_azimuth(comparison, row, moment["region"]), elevation=12, margin=1.2)
         images = [render([Shape(model, prediction.faces, colours), *body], camera, (SIDE, SIDE))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -44,12 +45,14 @@ class Prediction:
         lag: frames since the model was last started from the measurement (N,); none where it ran freely.
         window: which restart each row belongs to, (N,).
         converged: whether the solver converged (N,).
-        step_error: how far vertices move when the time step is made finer, (N, V) [m]; NaN where not tried.
-        mesh_error: how far they move when edges are half as long, likewise; as much of it as the measurement shows.
+        step_error: how far vertices move when the time step is made finer, (N, V) [m], as much of it as the
+            measurement shows; NaN where not tried.
+        mesh_error: how far they move when edges are half as long, likewise.
         start_error: how far vertices move when the model's own motion, with the measurement's noise added, is what it
             is restarted from, (N, V) [m]; NaN where not tried. A perfect model would still be that far off.
         material: flat rest shape of each face (F, 3, 2) [m], or none.
         body_vertices, body_faces: the body in each row (N, B, 3) [m] and its triangles, or none.
+        cautions: what must be said beside the figures.
     """
 
     frames: np.ndarray
@@ -65,6 +68,7 @@ class Prediction:
     material: np.ndarray | None = None
     body_vertices: np.ndarray | None = None
     body_faces: np.ndarray | None = None
+    cautions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +141,9 @@ class Windows:
         errors = np.full((3, *run.positions.shape[:2]), np.nan)
         if frame in self.checked:
             slow = roll_out(self.scene, self._simulator, state, frame, length=until, substeps=FINER * SUBSTEPS)
-            errors[0] = np.linalg.norm(slow.positions - run.positions, axis=-1)
             finer, fine = self._finer
-            by_mesh = finer.difference(fine, state, run)
-            errors[1] = _share_seen(self.scene.measurement, run, by_mesh) * np.linalg.norm(by_mesh, axis=-1)
+            for place, change in enumerate((slow.positions - run.positions, finer.difference(fine, state, run))):
+                errors[place] = _share_seen(self.scene.measurement, run, change) * np.linalg.norm(change, axis=-1)
             again = _restarted(self.scene, self._potential, self._simulator, state, frame, until, self._sigma)
             errors[2, : len(again)] = again
         return Window(run.frames[1:], run.positions[1:], run.converged[1:], *errors[:, 1:])
@@ -182,15 +185,16 @@ def predict_in_windows(
     return _joined(scene, [told[frame] for frame in windows.frames])
 
 
-def _share_seen(measurement: Measurement, run: WindowRun, by_mesh: np.ndarray) -> float:
-    """Least-squares amount in [0, 1] of what a finer mesh changes (n + 1, V, 3) in the measured errors of a window.
+def _share_seen(measurement: Measurement, run: WindowRun, change: np.ndarray) -> float:
+    """Least-squares amount in [0, 1] of what a finer step or mesh changes (n + 1, V, 3) in the errors of a window.
 
-    None of it where the cloth is itself made of the model's triangles.
+    None of the mesh's where the cloth is itself made of the model's triangles; little of the step's where cloth
+    buckles, so that the finer step takes another way than the cloth did.
     """
     assert measurement.vertices is not None
     seen = measurement.observed[run.frames]
     away = (measurement.vertices[run.frames] - run.positions)[seen]
-    return float(np.clip((away * by_mesh[seen]).sum() / max((by_mesh[seen] ** 2).sum(), 1e-300), 0, 1))
+    return float(np.clip((away * change[seen]).sum() / max((change[seen] ** 2).sum(), 1e-300), 0, 1))
 
 
 def _restarted(
@@ -214,7 +218,9 @@ def _restarted(
 
 def _joined(scene: Scene, windows: Sequence[Window]) -> Prediction:
     """Windows as rows."""
-    arrays = {each.name: np.concatenate([getattr(w, each.name) for w in windows]) for each in fields(Window)}
+    arrays: dict[str, Any] = {
+        each.name: np.concatenate([getattr(w, each.name) for w in windows]) for each in fields(Window)
+    }
     frames = arrays.pop("frames")
     return Prediction(
         frames=frames,

@@ -109,7 +109,7 @@ def _moment(figures: dict) -> str | None:
 
 def _cautions(figures: dict) -> list[str]:
     prediction, error = figures["prediction"], figures["error"]
-    said = []
+    said = [f"Caution: {each}." for each in prediction["cautions"]]
     if prediction["converged"] < 1:
         said.append(
             f"Caution: the solver did not converge in {100 * (1 - prediction['converged']):.0f} % of the frames."

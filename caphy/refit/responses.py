@@ -206,8 +206,9 @@ class Watched:
     def _sharpened(self, states: StartStates, frame: int) -> State | None:
         """A start whose smooth part follows the measurement: there noise is small, and a quartic through five frames
         tells velocities five times better than differences of balanced positions. None where a frame is missing."""
-        near = [self._track(f, states) for f in range(frame - 2, frame + 3)]
-        if any(track is None for track in near):
+        found = [self._track(f, states) for f in range(frame - 2, frame + 3)]
+        near = [track for track in found if track is not None]
+        if len(near) < len(found):
             return None
         state = states.state(frame)
         velocity = (8 * (near[3] - near[1]) - (near[4] - near[0])) * (self.scene.measurement.fps / 12)

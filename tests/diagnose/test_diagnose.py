@@ -141,8 +141,6 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     assert again.kept == ("mass_damping",)
     value, low, high, _ = again.coefficients["mass_damping.rate"]
     assert abs(value - 3.0) < 0.3 and low < value < high
-    blind = refit(stiff, dragged[:1], ("mass_damping",), dragged[1:]).coefficients["mass_damping.rate"][0]
-    assert abs(value - 3.0) < abs(blind - 3.0)
 
 
 def test_what_acts_in_contact_is_weighed_where_any_measurement_has_a_body(plain):
@@ -164,9 +162,9 @@ def test_base_measurements_put_parameters_right_that_are_far_off(plain, dragged,
     known = from_base(Study([Scene.of(plain)]), wrong)
     assert list(known.model.effects) == list(wrong.effects)
     assert abs(known.model.effects["strain_stvk"]["lame_mu"] / 11.1 - 1) < 0.1
-    found = diagnose(wrong, dragged[:1], known, dragged[1:])
-    assert found.found == ("mass_damping",)
-    assert abs(found.coefficients["mass_damping.rate"].value - 3.0) < 0.3
+    added = refit(wrong, dragged[:1], ("mass_damping",), dragged[1:], learned=known)
+    assert added.kept == ("mass_damping",)
+    assert abs(added.coefficients["mass_damping.rate"][0] - 3.0) < 0.3
 
 
 def test_base_clouds_are_registered_again_by_parameters_that_were_put_right():

@@ -64,7 +64,14 @@ def figures(**floor) -> dict:
             "unexplained_mm": 5.5,
             **floor,
         },
-        "prediction": {"matched_vertices": True, "restarted": True, "window_frames": 8, "windows": 9, "converged": 1.0},
+        "prediction": {
+            "matched_vertices": True,
+            "restarted": True,
+            "window_frames": 8,
+            "windows": 9,
+            "converged": 1.0,
+            "cautions": [],
+        },
         "by_region": [{"region": "hem", "median_mm": 14.0, "down_mm": 11.0, "down_interval_mm": (9.0, 13.0)}],
         "by_covariate": [
             {

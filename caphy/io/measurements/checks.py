@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.io.measurements.body_checks import require_body
 from caphy.io.measurements.measurement import Measurement
-from caphy.io.poses.sequence import Y_UP_FROM_Z_UP
 
 SIZE: Final = (0.02, 10.0)
 """Diagonal [m] that a piece of cloth may have in one frame."""
@@ -25,9 +25,6 @@ TURNS: Final = 0.9
 path, 1 for shuffled frames."""
 HALTED: Final = 1e-3
 """Mean step [m] before and after a frame between which a cloth does not stand perfectly still."""
-REACH: Final = 0.45
-"""Distance [m] within which the median point of clothing has a joint of the body."""
-
 TORN: Final = 4.0
 """Ratio of the longest tenth of one frame's edges to the shortest, over their lengths at rest, that no cloth has."""
 FAR: Final = 3.0
@@ -56,7 +53,7 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
         _require_pins(measurement)
     else:
         _require_ordered_clouds(measurement)
-    _require_body(measurement)
+    require_body(measurement, axes_stated)
     if not axes_stated:
         _require_hanging(measurement)
 
@@ -327,44 +324,6 @@ def _require_pins(measurement: Measurement) -> None:
             f"the pinned vertices were measured {1000 * middle:.0f} mm from pinned_positions; check the order of "
             "'pinned', the unit, the axes, and that both were recorded at the same times",
         )
-
-
-def _require_body(measurement: Measurement) -> None:
-    """Clothing lies near its body's joints, in the same world."""
-    if measurement.poses is None or measurement.transl is None:
-        return
-    joints = _joints(measurement)
-    frames = measurement.seen_frames[:: max(len(measurement.seen_frames) // 8, 1)]
-    away = _median_distance(measurement, joints, frames, np.eye(3))
-    if away <= REACH:
-        return
-    for rotation, advice in (
-        (Y_UP_FROM_Z_UP, "the cloth has z up and the poses y up; turn it, or state up_axis = 'z' if both have"),
-        (Y_UP_FROM_Z_UP.T, "the poses have z up and the cloth y up; turn them"),
-    ):
-        if _median_distance(measurement, joints, frames, rotation) < min(REACH, 0.5 * away):
-            raise _error(measurement, f"the cloth lies {away:.2f} m from the joints of its body: {advice}")
-    raise _error(
-        measurement,
-        f"the cloth lies {away:.2f} m from the joints of its body; vertices, poses and transl must be in one world "
-        "frame, in metres, with transl added after turning about the pelvis as in SMPL-X",
-    )
-
-
-def _joints(measurement: Measurement) -> np.ndarray:
-    from caphy.body.bundled import default_body
-
-    assert measurement.poses is not None
-    return default_body().posed_joints(measurement.poses, measurement.transl, measurement.betas)
-
-
-def _median_distance(measurement: Measurement, joints: np.ndarray, frames: np.ndarray, rotation: np.ndarray) -> float:
-    distances = []
-    for frame in frames:
-        cloud = measurement.cloud(int(frame))
-        cloud = cloud[:: max(len(cloud) // 200, 1)] @ rotation.T
-        distances.append(np.linalg.norm(cloud[:, None] - joints[frame], axis=-1).min(axis=1))
-    return float(np.median(np.concatenate(distances)))
 
 
 def _require_hanging(measurement: Measurement) -> None:

@@ -220,8 +220,15 @@ class Measurement:
         if value.ndim == len(shape) and shape[0] == frames and value.shape[1:] == shape[1:]:
             hint = (
                 f"; the cloth has {frames} frames at {self.fps:g} fps. If {name} was recorded at another rate "
-                f"({len(value) / frames * self.fps:.4g} fps?), resample it to the cloth's"
+                f"({len(value) / frames * self.fps:.4g} fps?), resample it to the cloth's; if "
+                "the file has frame_index or frame_count, check those"
             )
+        elif name.endswith("poses") and value.ndim == 3 and value.shape[-1] == 3 and value.shape[1] != JOINT_COUNT:
+            hint = (
+                f"; SMPL-X has {JOINT_COUNT} joints, these are {value.shape[1]}: convert them with caphy poses convert"
+            )
+        elif name == "preroll_transl":
+            hint = "; one place for each of preroll_poses"
         elif value.ndim == len(shape) and value.shape[-1:] == shape[-1:]:
             hint = "; do the mesh and the recording have the same topology?"
         raise self._error(f"{name} must have shape {wanted}, got {value.shape}{hint}")
@@ -254,6 +261,11 @@ class Measurement:
             )
         if len(self.seen_frames) == 0:
             raise self._error("no frame shows anything: all vertices are NaN or not visible")
+        if self.attached is not None and not 0 <= self.attached.min() <= self.attached.max() <= 1:
+            raise self._error(
+                f"attached must lie between 0 (free) and 1 (held to the body), got {self.attached.min():g} to "
+                f"{self.attached.max():g}"
+            )
         if self.noise is not None and (np.isnan(self.noise).all() or np.nanmin(self.noise) < 0):
             raise self._error("noise must be standard deviations in metres, not negative")
 
