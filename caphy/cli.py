@@ -48,8 +48,11 @@ def command() -> NoReturn:
     """Run what the command line asks for, as a program."""
     status = main()
     if status == INTERRUPTED:  # threads that write to processes which are gone would be waited for for ever
-        if (processes := sys.modules.get("multiprocessing.util")) is not None:
-            processes._run_finalizers(0)  # or its tracker complains of semaphores
+        if (util := sys.modules.get("multiprocessing.util")) is not None:
+            for child in sys.modules["multiprocessing"].active_children():
+                child.kill()  # one that still begins would miss its semaphores
+                child.join()
+            util._run_finalizers(0)  # or its tracker complains of semaphores
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

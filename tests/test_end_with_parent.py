@@ -70,3 +70,31 @@ def test_ctrl_c_amid_their_beginning_leaves_no_traceback(tmp_path: Path, after: 
         [sys.executable, str(script), str(after)], capture_output=True, text=True, start_new_session=True, check=False
     )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "stopped\n", "")
+
+
+WRITING = """
+import os, signal, sys, threading, time, types
+from caphy.cli import command
+from caphy.refit.crew import Crew
+
+def main(arguments):
+    threading.Timer(0.3, os.killpg, (os.getpgrp(), signal.SIGINT)).start()
+    with Crew(size=2) as crew:
+        for each in crew._each:
+            each.submit(len, bytes(20_000_000))  # more than a pipe holds
+        time.sleep(60)
+
+if __name__ == "__main__":
+    sys.modules["caphy.commands.compare"] = types.SimpleNamespace(main=main)
+    sys.argv = ["caphy", "compare"]
+    command()
+"""
+
+
+def test_ctrl_c_does_not_wait_for_what_is_written_to_processes_that_are_gone(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(WRITING)
+    ended = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")

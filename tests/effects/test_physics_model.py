@@ -34,7 +34,17 @@ def test_density_must_be_positive(density: float) -> None:
         Model(density)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"density_kg_per_m2": 0.2, "effects": {"gravity": 3}}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"density_kg_per_m2": 0.2, "effects": {"gravity": 3}}',
+        '{"density_kg_per_m2": 0.2, "effects": {}, "colour": "red"}',
+        '{"density_kg_per_m2": true, "effects": {}}',
+    ],
+)
 def test_a_broken_file_is_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "model.json"
     path.write_text(text)

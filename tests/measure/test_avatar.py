@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from shell_avatar import random_network, shell, shell_avatar, wiggle
 
+from caphy.body.bundled import default_body
+from caphy.cli import main
 from caphy.errors import CaphyError
-from caphy.io.measurements import Measurement
+from caphy.io.bundle import write_bundle
+from caphy.io.measurements import Measurement, write_measurement
 from caphy.measure.avatar import matching_garment, predict_with_avatar
 from caphy.measure.comparison import compare
 from export.head import TOLERANCE  # what a bundle promises of its rounded heads [m]
@@ -82,3 +85,30 @@ def test_clouds_and_cloth_without_a_body(measurement):
     assert figures["error"]["down_mean_mm"] is None
     with pytest.raises(CaphyError, match="driven by poses"):
         predict_with_avatar(replace(measurement, poses=None, transl=None), bundle, garment)
+
+
+def test_another_garments_name_is_refused(measurement):
+    bundle = shell_avatar()
+    other = next(garment.name for garment in bundle.garments if garment.name != "tshirt")
+    with pytest.raises(CaphyError, match=f"its mesh is the avatar's tshirt, not its {other}"):
+        matching_garment(measurement, bundle, other)
+    assert matching_garment(measurement, bundle, "tshirt").name == "tshirt"
+
+
+def test_another_body_than_the_avatars_is_said(measurement):
+    bundle, garment = shell_avatar(), shell_avatar().garment("tshirt")
+    betas = np.zeros(default_body().shapedirs.shape[-1])
+    assert not predict_with_avatar(replace(measurement, betas=betas), bundle, garment).cautions
+    betas[0] = 3.0
+    stout = replace(measurement, betas=betas)
+    figures = compare(predict_with_avatar(stout, bundle, garment), stout).figures
+    assert any("betas put its joints up to" in sentence for sentence in figures["sentences"])
+
+
+@pytest.mark.parametrize("option", [("--window", "3"), ("--body", "none.npz"), ("--effect-file", "none.py")])
+def test_what_is_for_physics_models_is_refused(measurement, tmp_path, capsys, option):
+    write_bundle(shell_avatar(), tmp_path / "avatar")
+    write_measurement(measurement, tmp_path / "m.npz")
+    words = [str(tmp_path / "avatar"), str(tmp_path / "m.npz"), "-o", str(tmp_path / "out"), *option]
+    assert main(["compare", *words]) == 2
+    assert f"{option[0]} is for physics models" in capsys.readouterr().err
