@@ -15,6 +15,7 @@ from caphy.io.bundle import write_bundle
 from caphy.io.measurements import Measurement, write_measurement
 from caphy.measure.avatar import matching_garment, predict_with_avatar
 from caphy.measure.comparison import compare
+from caphy.measure.pictures import track
 from export.head import TOLERANCE  # what a bundle promises of its rounded heads [m]
 
 
@@ -83,6 +84,12 @@ def test_clouds_and_cloth_without_a_body(measurement):
     figures = compare(predict_with_avatar(cloud, bundle, garment), cloud).figures
     assert figures["error"]["surface_median_mm"] < 0.02
     assert figures["error"]["down_mean_mm"] is None
+    found = compare(predict_with_avatar(cloud, bundle, garment), cloud)
+    told, shown = 1e3 * found.errors.distance, track(found).fields["distance"]
+    measured = np.isfinite(told)
+    assert measured.mean() < 0.8 and np.isfinite(shown).all()
+    np.testing.assert_array_equal(shown[measured], told[measured])
+    assert shown.max() <= told[measured].max()
     with pytest.raises(CaphyError, match="driven by poses"):
         predict_with_avatar(replace(measurement, poses=None, transl=None), bundle, garment)
 
