@@ -15,6 +15,7 @@ from caphy.commands.compare import load_model, main
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement, write_measurement
+from caphy.measure import prediction
 from caphy.measure.comparison import compare
 from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
@@ -41,6 +42,40 @@ def dragged() -> Measurement:
 def compared(measurement: Measurement) -> dict:
     scene = Scene.of(measurement)
     return compare(predict_in_windows(scene, MODEL), measurement).figures
+
+
+@pytest.mark.parametrize(
+    ("off", "part"),
+    [
+        (lambda change, other: 0.4 * change, 0.4),
+        (lambda change, other: 3.0 * change, 1.0),
+        (lambda change, other: -change, 0.0),
+        (lambda change, other: other, 0.0),
+    ],
+    ids=["a part", "more", "the other way", "another way"],
+)
+def test_a_finer_step_explains_as_much_as_the_measurement_shows(plain, monkeypatch, off, part):
+    """Where the model is off in another way than by its step, the step is not to blame, however far it moves cloth."""
+    rolled, made = prediction.roll_out, []
+    change = np.random.default_rng(0).normal(0, 0.02, (9, len(plain.rest_vertices), 3))
+    other = np.random.default_rng(1).normal(0, 0.02, change.shape)
+    other -= (other * change).sum() / (change**2).sum() * change
+
+    def roll_out(scene, simulator, state, frame, *, length, substeps=prediction.SUBSTEPS):
+        run = rolled(scene, simulator, state, frame, length=length)
+        made.append(run.positions)
+        moved = change if substeps > prediction.SUBSTEPS else 0.0
+        return replace(run, positions=run.positions + moved)
+
+    monkeypatch.setattr(prediction, "roll_out", roll_out)
+    windows = prediction.Windows(Scene.of(plain), MODEL)
+    frame = windows.frames[0]
+    windows.told(frame)
+    vertices = plain.vertices.copy()
+    vertices[frame : frame + 9] = made[0] + off(change, other)
+    monkeypatch.setattr(windows, "scene", replace(windows.scene, measurement=replace(plain, vertices=vertices)))
+    told = windows.told(frame).step_error
+    np.testing.assert_allclose(told, part * np.linalg.norm(change[1:], axis=-1), atol=1e-6)
 
 
 def test_the_right_model_is_told_from_one_that_lacks_an_effect(plain, dragged):
