@@ -11,7 +11,7 @@ from explicit_cloth import measured, simulate
 from caphy.effects.model import Model
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
-from caphy.measure.windows import StartStates
+from caphy.measure.windows import StartStates, filled
 from caphy.refit.responses import START_MODES, Watched
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}, "bending": {}})
@@ -60,3 +60,17 @@ def test_where_the_cloth_hangs_does_not_matter(cloth):
     shift = there[0] - here[0]
     np.testing.assert_allclose(shift[0], far, atol=1e-6)
     np.testing.assert_allclose(shift[1:], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("seen", ["scattered", "a corner", "nothing"])
+def test_holes_are_their_harmonic_continuation(cloth, seen):
+    watched = Watched(Scene.of(cloth))
+    sheet, fields = watched.scene.potential(MODEL).cloth, np.random.default_rng(1).normal(size=(81, 3))
+    known = {
+        "scattered": np.random.default_rng(2).random(81) < 0.7,
+        "a corner": np.linalg.norm(sheet.vertices - sheet.vertices[0], axis=1) > 0.3,
+        "nothing": np.zeros(81, bool),
+    }[seen]
+    whole = filled(np.where(known[:, None], fields, np.nan), known, sheet) if known.any() else np.zeros((81, 3))
+    told = watched.projection.of(np.where(known[:, None], fields, np.nan), known)
+    np.testing.assert_allclose(told, watched.projection.of(whole, np.ones(81, bool)), atol=1e-12)

@@ -17,6 +17,8 @@ ASTRAY: Final = 1.5
 """... and so many times that within which it has one in each single frame."""
 TURNED: Final = 60.0
 """Degrees by which clothing is not turned against its rest shape carried along by the poses, in half of the frames."""
+FEWEST: Final = 10
+"""Vertices that must be seen for that."""
 UPRIGHT: Final = 0.8
 """Part of the way from pelvis to neck that lies along z, in half of the frames, from which z seems to be up."""
 JITTERS: Final = 0.03
@@ -164,18 +166,20 @@ def _require_worn(measurement: Measurement) -> None:
     body, rest, frames = default_body(), measurement.rest_vertices, _some(measurement, 20)
     weights = measurement.weights
     if weights is None:  # a file of the garment's has them
-        near = np.linalg.norm(rest[:, None] - body.rest(measurement.betas)[1][:BODY_JOINT_COUNT], axis=-1).argmin(
-            axis=1
-        )
-        weights = np.eye(len(JOINT_NAMES))[near]
+        joints = body.rest(measurement.betas)[1][:BODY_JOINT_COUNT]
+        weights = np.eye(len(JOINT_NAMES))[np.linalg.norm(rest[:, None] - joints, axis=-1).argmin(axis=1)]
     blended = blend_transforms(weights, body.transforms(measurement.poses[frames], measurement.betas))
     carried = skin(blended, rest) + measurement.transl[frames, None]
     turn, away = [], []
     for frame, expected in zip(frames, carried, strict=True):
         seen = measurement.observed[frame]
+        if seen.sum() < FEWEST:
+            continue
         a, b = expected[seen], measurement.vertices[frame, seen]
         turn.append(_angle(a - a.mean(0), b - b.mean(0)))
         away.append(np.median(np.linalg.norm(a - b, axis=1)))
+    if not turn:
+        return
     if np.median(turn) > TURNED:
         raise _error(
             measurement,
