@@ -123,7 +123,8 @@ class Model:
         """Inverse of :meth:`to_json`; ``source`` names the file in errors."""
         try:
             data = json.loads(text)
-            if unknown := sorted(set(data) - _KEYS):
+            unknown = sorted(set(data) - _KEYS)
+            if unknown and "format" not in data:  # with one it is a document that is a model as well
                 raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(_KEYS))}")
             if isinstance(data["density_kg_per_m2"], bool):
                 raise TypeError("density_kg_per_m2 must be a number, got true or false")
