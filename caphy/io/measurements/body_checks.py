@@ -160,6 +160,8 @@ def _require_worn(measurement: Measurement) -> None:
         return
     assert measurement.poses is not None
     assert measurement.transl is not None
+    from scipy.spatial.transform import Rotation
+
     from caphy.body.bundled import default_body
     from caphy.body.skinning import blend_transforms, skin
 
@@ -176,7 +178,8 @@ def _require_worn(measurement: Measurement) -> None:
         if seen.sum() < FEWEST:
             continue
         a, b = expected[seen], measurement.vertices[frame, seen]
-        turn.append(_angle(a - a.mean(0), b - b.mean(0)))
+        turned = Rotation.align_vectors(b - b.mean(0), a - a.mean(0))[0]
+        turn.append(np.degrees(turned.magnitude()))
         away.append(np.median(np.linalg.norm(a - b, axis=1)))
     if not turn:
         return
@@ -192,14 +195,6 @@ def _require_worn(measurement: Measurement) -> None:
             f"the cloth lies {np.median(away):.2f} m from where poses and transl carry rest_vertices; give "
             "rest_vertices on the body's T-pose, with the body's origin, not in a posed frame",
         )
-
-
-def _angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Of the turn that lays points (N, 3) best onto others (Kabsch 1976) [degrees]."""
-    left, _, right = np.linalg.svd(a.T @ b)
-    sign = np.sign(np.linalg.det(left @ right))
-    trace = np.trace(left @ np.diag([1.0, 1.0, sign]) @ right)
-    return float(np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))))
 
 
 def _require_mesh(measurement: Measurement) -> None:
