@@ -11,3 +11,7 @@ class CaphyError(Exception):
 
 class Diverged(CaphyError):
     """A simulation whose cloth flies apart under its physics."""
+
+
+class EffectFailed(CaphyError):
+    """A user's own effect raised an error."""

@@ -40,11 +40,10 @@ def before_and_after(
     sections = []
     for when, model in (("before", before), ("after", after)):
         for measurement in measured:
-            given = replace(measurement, name=f"{measurement.name}, {when}")
-            scene = Scene.of(given, garment, body)
+            scene = Scene.of(replace(measurement, name=f"{measurement.name}, {when}"), garment, body)
             with Progress(f"page, {when}") as progress:
                 prediction = predicted(scene, model, progress, crew)
-            sections.append(section(compare(prediction, given, scene.regions)))
+            sections.append(section(compare(prediction, scene.measurement, scene.regions)))
     facts = {"model": name, "written by": f"caphy {__version__}"}
     added = ", ".join(effect for effect in after.effects if effect not in before.effects) or "parameters"
     return comparison_page(f"{name}: before and after {added}", sections, facts)

@@ -58,7 +58,7 @@ def main(arguments: list[str]) -> None:
     if command.window < 1:
         raise CaphyError(f"--window must be at least one frame, got {command.window}")
     writable_folder(command.output)
-    tables = [path for path in command.measurements if path.suffix == ".csv"]
+    tables = [path for path in command.measurements if path.suffix.lower() == ".csv"]
     curves = [_compared_curves(command, path) for path in tables]
     films = [path for path in command.measurements if path not in tables]
     title = f"{_title(command.model)} against {_listed(command.measurements)}"
@@ -159,11 +159,11 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     scenes = [Scene.of(measurement, garment, body) for measurement in measured]
     found = []
     with Crew(command.effect_file, kept=kept) as crew:
-        for scene, measurement in zip(scenes, measured, strict=True):
-            with Progress(measurement.name) as progress:
+        for scene in scenes:
+            with Progress(scene.measurement.name) as progress:
                 prediction = predicted(scene, model, progress, crew, command.window)
                 progress("comparing", 1, 1)
-            found.append(compare(prediction, measurement, scene.regions))
+            found.append(compare(prediction, scene.measurement, scene.regions))
     return found
 
 

@@ -54,7 +54,7 @@ def main(arguments: list[str]) -> None:
     command = tyro.cli(Diagnose, args=arguments, prog="caphy diagnose")
     writable_folder(command.output)
     model = physics_model(command.model, command.effect_file)
-    tables = [path for path in command.measurements if path.suffix == ".csv"]
+    tables = [path for path in command.measurements if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(command.measurements):
         raise CaphyError("give either measurements in motion or tables of tensile tests, not both at once")
     if tables:

@@ -14,7 +14,7 @@ import tyro
 from caphy.effects.base import Effect, Group, needs
 from caphy.effects.registry import find_effect, register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
-from caphy.errors import CaphyError
+from caphy.errors import CaphyError, EffectFailed
 from caphy.io.bundle import MANIFEST
 
 if TYPE_CHECKING:
@@ -205,6 +205,9 @@ def _check_one(name: str) -> int:
         verdict = "ok" if why is None else f"FAILED  has what it says that it lacks ({why})"
         try:
             check(name)
+        except EffectFailed as error:
+            verdict = f"FAILED  {error.__cause__.__class__.__name__}: {error.__cause__}"
+            broke.append(check.__name__)
         except CaphyError as error:  # what is no effect fails everything else as well
             print(f"{name}  {what}: FAILED  {error}; the rest was not tried")
             return len(failed) + 1

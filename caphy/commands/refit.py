@@ -55,7 +55,7 @@ def main(arguments: list[str]) -> None:
     if not command.measurements:
         raise CaphyError("give at least one measurement")
     model = physics_model(command.model, command.effect_file)
-    if all(path.suffix == ".csv" for path in command.measurements):
+    if all(path.suffix.lower() == ".csv" for path in command.measurements):
         from caphy.kept import Kept
         from caphy.tensile.run import refit_tables
 
@@ -80,6 +80,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     from caphy.diagnose.checks import require_one_cloth
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
+    from caphy.measure.pace import slowed
     from caphy.refit.crew import Crew
     from caphy.refit.refit import addable, refit
 
@@ -91,6 +92,8 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
     require_one_cloth(fitted=measured, base=calm, held_out=proof)
+    for note in filter(None, map(slowed, (*measured, *calm, *proof))):
+        print(f"Note: {note}.")
     with Crew(command.effect_file, kept=kept) as crew:
         with Progress("refit") as progress:
             learned = base_of(model, calm, garment, body, progress, crew)

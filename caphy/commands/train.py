@@ -34,6 +34,9 @@ PROCEDURAL = tuple(range(12))
 OPTIONS = "options.json"
 """What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
 
+BODY_EFFECTS = ("body_contact", "attachment")
+"""What keeps a garment off its body, and on it."""
+
 MADE_UP = 100
 """First seed of the motions of --made-up."""
 
@@ -300,12 +303,28 @@ def _model(options: Train, initial: Initial | None) -> Model:
     from caphy.effects.presets import fabric_model, snug_model
 
     if options.model is not None:
-        return Model.load(options.model)
+        return _on_body(Model.load(options.model), initial, options)
     if options.fabric is not None:
         return fabric_model(options.fabric)
     if initial is not None:
         return Model.from_json(json.dumps(initial.model), f"the model of {options.init}; give one with --model")
     return snug_model()
+
+
+def _on_body(model: Model, initial: Initial | None, options: Train) -> Model:
+    """A model with what holds a garment off and on its body, which one of cloth on pins lacks, as the network that
+    training begins with had it, or else SNUG has."""
+    from caphy.effects.model import Model
+    from caphy.effects.presets import snug_model
+
+    known = Model.from_json(json.dumps(initial.model), str(options.init)) if initial and initial.model else snug_model()
+    lacking = [name for name in BODY_EFFECTS if name in known.effects and name not in model.effects]
+    for name in lacking:
+        model = model.with_effect(name, **known.effects[name])
+    if lacking and os.environ.get("RANK", "0") == "0":
+        whose = options.init if initial and initial.model else "SNUG"
+        print(f"note: {options.model} is of cloth that no body wears: {' and '.join(lacking)} are taken from {whose}")
+    return model
 
 
 def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:

@@ -11,7 +11,7 @@ from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect, register_file
 from caphy.effects.trial import DT, irregular_cloth, moment
-from caphy.errors import CaphyError
+from caphy.errors import CaphyError, EffectFailed
 
 
 def use_file(path: Path) -> list[str]:
@@ -41,6 +41,8 @@ def _try(name: str, path: Path) -> None:
             "shaken cloth": potential.gradient(at.x, at.step, at.body),
             "cloth at rest": potential.gradient(rest, still, at.body),
         }
+    except EffectFailed:
+        raise
     except CaphyError as error:
         raise CaphyError(f"{where}: {error}; {advice}") from error
     except Exception as error:

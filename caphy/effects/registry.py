@@ -7,8 +7,8 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
-from collections.abc import Mapping, Set
-from functools import cache
+from collections.abc import Callable, Mapping, Set
+from functools import cache, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +19,7 @@ import numpy as np
 import caphy.effects
 from caphy.effects.base import Effect, ElementKind, Group, Parameter
 from caphy.effects.units import dimensions
-from caphy.errors import CaphyError
+from caphy.errors import CaphyError, EffectFailed
 
 _from_files: dict[str, type[Effect]] = {}
 _file_of: dict[str, Path] = {}
@@ -147,6 +147,30 @@ def register_file(path: Path) -> list[str]:
         other = _file_of.get(effect.name, path) if effect.name in _from_files else path
         if other.resolve() != path.resolve() or sum(each.name == effect.name for each in effects) > 1:
             raise CaphyError(f"{path}: there is another effect {effect.name!r} in {other}; give one another name")
+    for effect in effects:
+        _name_failures(effect, path)
     _from_files.update({effect.name: effect for effect in effects})
     _file_of.update({effect.name: path for effect in effects})
     return [effect.name for effect in effects]
+
+
+def _name_failures(effect: type[Effect], path: Path) -> None:
+    """Let what a user's effect raises say whose it is, whenever that happens: in fast motion alone, for instance."""
+    for key, value in list(vars(effect).items()):
+        if inspect.isfunction(value):
+            setattr(effect, key, _naming(value, f"{path}: {effect.name}.{key}", path))
+
+
+def _naming(function: Callable, where: str, path: Path) -> Callable:
+    @wraps(function)
+    def called(*arguments: object, **named: object) -> object:
+        try:
+            return function(*arguments, **named)
+        except CaphyError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise EffectFailed(
+                f"{where} fails: {type(error).__name__}: {error}; see caphy effects check --effect-file {path}"
+            ) from error
+
+    return called

@@ -21,6 +21,7 @@ from caphy.garment.topology import check_manifold
 from caphy.io.measurements import Measurement
 from caphy.io.poses import PoseSequence
 from caphy.measure.mesh_body import MeshBody
+from caphy.measure.pace import paced
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.solve.paths import path
@@ -32,7 +33,7 @@ class Scene:
     """What drives the cloth of a measurement.
 
     Attributes:
-        measurement: as given.
+        measurement: as given, or at a lower rate.
         garment: the template on the body; a bare sheet counts as one that hangs on the root joint.
         motion: the body, posed or as a mesh; none for cloth on pins alone.
         fixed: which vertices are pinned (V,), or none.
@@ -56,9 +57,12 @@ class Scene:
     def of(cls, measurement: Measurement, garment: Garment | None = None, body: BodyModel | None = None) -> Scene:
         """Bind a measurement to its garment (the one it carries unless given) and body (the bundled one).
 
+        Recordings of many frames a second are used at a lower rate (:func:`~caphy.measure.pace.paced`).
+
         Raises:
             CaphyError: the measurement lacks a rest shape, or its mesh is not the garment's.
         """
+        measurement = paced(measurement)
         garment = _carried_garment(measurement) if garment is None else garment
         if measurement.vertex_count not in (None, len(garment.vertices)):
             raise CaphyError(

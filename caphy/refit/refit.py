@@ -44,7 +44,7 @@ class Refit:
         kept, removed: effects that stayed and that were taken back.
         coefficients: fitted numbers, name -> (value, low, high, unit), intervals of 95 %.
         held_out: error before and after.
-        reason: why effects were taken back, in words.
+        reason: why effects were taken back, each of them, in words.
         share: of the misfit of the windows it was fitted to, what the fit takes away.
     """
 
@@ -98,7 +98,7 @@ def refit(
         numbers = intervals(fitted, learned, len(study.scenes))
     if why := _refused(errors, fitted, numbers, kept):
         why = f"{why}: {', '.join(kept) or 'the new parameters'} refused"
-        return Refit(model, (), names, numbers, errors, why, fitted.share)
+        return Refit(model, (), names, numbers, errors, "; ".join(filter(None, (reason, why))), fitted.share)
     return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share)
 
 

@@ -9,10 +9,12 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve
+from caphy.io.measurements.force_curves import UNLOADED
 
 _LEAST_ROWS = 8
 _PRELOAD = 0.01  # share of its largest force at which a loading may begin
 _SHUFFLED = 0.2  # mean step between rows over the whole range; 1/3 when rows are in random order
+_SLACK = 0.9  # share of its largest strain from which on a loading's first row is its last
 _AGREE = 0.6  # rank correlation of force and strain
 _NOISE = 0.6  # scatter between repeats over the force
 
@@ -57,10 +59,10 @@ def require_tension(curve: ForceCurve) -> None:
             f"{where}: strains must grow from zero as the strip is pulled, got {curve.axial.min():.3g} to "
             f"{curve.axial.max():.3g}; a strain is length over rest length, less one"
         )
-    if not 1e-1 <= top / curve.axial.max() <= 1e6:
+    if top < UNLOADED or not 1e-1 <= top / curve.axial.max() <= 1e6:
         raise CaphyError(
             f"{where}: {top:.3g} N/m at a strain of {curve.axial.max():.3g} is no cloth; forces must be in newton per "
-            "metre of width at rest (N over the strip's width in m)"
+            "metre of width at rest (N over the strip's width in m; kN/m times 1000), strains fractions"
         )
 
 
@@ -72,6 +74,11 @@ def _checked(curve: ForceCurve) -> ForceCurve:
     span = np.ptp(curve.axial)
     if np.abs(np.diff(curve.axial)).mean() > _SHUFFLED * span and len(curve.axial) > 2 * _LEAST_ROWS:
         raise CaphyError(f"{where}: rows look shuffled: the strain jumps from row to row; sort them by time")
+    if curve.axial[0] > _SLACK * curve.axial.max():
+        raise CaphyError(
+            f"{where}: rows must begin slack, but the first has a strain of {curve.axial[0]:.3g} of at most "
+            f"{curve.axial.max():.3g}; do they run downwards? Sort them by rising strain"
+        )
     curve = _loading_branch(curve)
     agreement = _rank_correlation(curve.axial, curve.force)
     if agreement < _AGREE:

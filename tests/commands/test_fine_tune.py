@@ -117,3 +117,18 @@ def test_winds_that_the_network_cannot_see_are_named(world, capsys):
     (world / "wind.json").write_text(snug_model().with_effect("wind_normal").to_json())
     assert train(world, "windy", "--model", str(world / "wind.json"), "--steps", "1") == 0
     assert "wind_normal depends on heading" in capsys.readouterr().out
+
+
+def test_a_model_of_cloth_on_pins_is_learned_on_a_body(world, capsys):
+    """As 'caphy refit' of a square writes it: without the contact that a garment's network must know."""
+    own = Model.load(world / "run" / "model.json").with_effect("body_contact", distance=0.007)
+    (world / "run" / "model.json").write_text(own.to_json())
+    bare = heavy().without_effect("body_contact").without_effect("attachment")
+    (world / "bare.json").write_text(bare.to_json())
+    capsys.readouterr()
+    for name, more, distance in (("fine", ("--init", str(world / "run")), 0.007), ("fresh", (), 0.004)):
+        assert train(world, name, *more, "--model", str(world / "bare.json"), "--steps", "1") == 0
+        assert "body_contact and attachment are taken from" in capsys.readouterr().out
+        learned = Model.load(world / name / "model.json")
+        assert learned.effects["body_contact"].get("distance", 0.004) == distance
+        assert "attachment" in learned.effects and "air_drag_normal" in learned.effects

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+
+from caphy import commands
+from caphy.cli import REPEATABLE, main
 
 
 def test_the_package_runs_as_the_command_does() -> None:
@@ -13,3 +20,15 @@ def test_the_package_runs_as_the_command_does() -> None:
     ]
     assert ran[0].returncode == 0 and "usage: caphy COMMAND" in ran[0].stdout
     assert ran[1].returncode == 2 and "there is no command 'fly'" in ran[1].stderr
+
+
+@pytest.mark.parametrize("again", [["--base", "c.npz"], ["--base=c.npz"]])
+def test_an_option_given_twice_is_refused(again, capsys) -> None:
+    """The last one alone would count."""
+    assert main(["diagnose", "snug", "a.npz", "--base", "b.npz", *again, "-o", "out"]) == 2
+    assert "caphy diagnose: --base is given twice; give all its values after one --base" in capsys.readouterr().err
+
+
+def test_what_may_be_given_twice_is_what_commands_append() -> None:
+    sources = "\n".join(path.read_text() for path in Path(commands.__file__).parent.glob("*.py"))
+    assert {f"--{name}" for name in re.findall(r"(\w+): tyro\.conf\.UseAppendAction", sources)} == set(REPEATABLE)

@@ -5,15 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 from test_registry import WIND
 
 from caphy.cli import main
 from caphy.effects import registry
+from caphy.effects.base import Step
 from caphy.effects.battery import degenerate_is_finite, same_in_every_frame, same_in_every_place
+from caphy.effects.model import Model
 from caphy.effects.own import use_file
+from caphy.effects.potential import Potential
 from caphy.effects.registry import register_file
 from caphy.effects.scaffold import write_scaffold
-from caphy.errors import CaphyError
+from caphy.effects.trial import irregular_cloth
+from caphy.errors import CaphyError, EffectFailed
 
 ENERGY = '0.5 * e.dt * p["coefficient"] * e.rest["area"] * dot(slip, slip)'
 
@@ -35,13 +40,27 @@ def _written(path: Path, old: str = "", new: str = "") -> Path:
         (f"float('nan') * {ENERGY}", "must have a finite energy and gradient, but has none on shaken cloth"),
         ('e.rest["area"] * dot(v, v).sqrt()', "but has none on cloth at rest"),
         ("None", "must return the energy of each element"),
-        ("1 / 0", "fails on a small cloth: ZeroDivisionError"),
+        ("1 / 0", r"\.energy fails: ZeroDivisionError: division by zero"),
     ],
 )
 def test_what_does_not_work_is_said_with_its_file(tmp_path, energy, says):
     path = _written(tmp_path / "mine.py", ENERGY, energy)
     with pytest.raises(CaphyError, match=f"mine.py: my_wind.*{says}.*caphy effects check --effect-file"):
         use_file(path)
+
+
+@pytest.mark.parametrize("raised", ["ValueError('mine')", "SystemExit(0)"])
+def test_what_fails_later_is_said_with_its_file(tmp_path, raised):
+    """Not in the trial, but where cloth is faster than there."""
+    fast = f"    if float(dot(v, v).detach().max()) > 100:\n            raise {raised}\n        return"
+    path = _written(tmp_path / "mine.py", f"    return {ENERGY}", f"{fast} {ENERGY}")
+    assert use_file(path) == ["my_wind"]
+    cloth = irregular_cloth()
+    potential = Potential(Model(cloth.density, {"my_wind": {}}), cloth)
+    x = torch.as_tensor(cloth.vertices)
+    step = Step.implicit_euler(0.01, x, x)
+    with pytest.raises(EffectFailed, match=r"mine\.py: my_wind\.energy fails: .*caphy effects check --effect-file"):
+        potential.gradient(x + 0.1, step)
 
 
 def test_what_works_is_taken(tmp_path):

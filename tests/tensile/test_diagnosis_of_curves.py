@@ -171,12 +171,18 @@ def shuffled(column: np.ndarray) -> np.ndarray:
     return column[np.random.default_rng(0).permutation(len(column))]
 
 
+def turned(column: np.ndarray) -> np.ndarray:
+    return column[::-1].copy()
+
+
 @pytest.mark.parametrize(
     ("curves", "message"),
     [
         ([], "no force curves"),
         (bad(force=lambda f: -f), "positive in tension"),
         (bad(force=lambda f: 1e6 * f), "per metre of width"),
+        (bad(force=lambda f: f / 1e3), "kN/m times 1000"),
+        (bad(axial=turned, transverse=turned, force=turned), "Sort them by rising strain"),
         (bad(axial=shuffled, force=shuffled), "shuffled"),
         (bad(force=shuffled), "rank correlation"),
         (bad(force=lambda f: f + 20), "begins under load"),

@@ -13,8 +13,10 @@ import numpy as np
 from caphy.errors import CaphyError
 
 COLUMNS: Final = ("axial_strain", "transverse_strain", "force_per_width_N_per_m")
+NAMES: Final = ("fabric", "direction", "loading")
 KNIT_COLUMNS: Final = ("sample", "video", "force_per_width_N_per_m", "gauge_len_mm", "pin_transverse_mm")
 _RATIO: Final = 0.5  # smallest strain of a curve from which on lengths over rest lengths were given
+_LONGEST: Final = 3.0  # strain; real knits of a test reach 2.04
 _AGAIN: Final = 0.5
 """Share of its largest strain by which a curve that falls and rises again is more than one."""
 UNLOADED: Final = 1.0
@@ -64,7 +66,7 @@ class ForceCurve:
             )
         if self.direction not in ("weft", "warp"):
             raise CaphyError(f"{where}: direction must be 'weft' or 'warp', got {self.direction!r}")
-        if np.abs(self.axial).max() > 5 or np.nanmax(np.abs(self.transverse), initial=0) > 5:
+        if max(np.abs(self.axial).max(), np.nanmax(np.abs(self.transverse), initial=0)) > _LONGEST:
             raise CaphyError(
                 f"{where}: strains must be fractions (0.1 for 10 %), got {np.abs(self.axial).max():.3g}; divide "
                 "percent by 100; a strain is a length over the rest length, less one"
@@ -104,13 +106,18 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
             f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got "
             f"{', '.join(map(str, names))}; the first line names them; commas part columns, points decimals"
         )
+    if unread := [name for name in names if name is not None and name not in (*NAMES, *COLUMNS)]:
+        raise CaphyError(
+            f"{path}: nobody reads the column {unread[0]!r}; the columns are {', '.join((*NAMES, *COLUMNS))}, so "
+            "spelled: rename it, or leave it out"
+        )
     surplus = next((line for line, row in rows if any(row.get(None) or ())), None)  # pyright: ignore
     if surplus is not None:
         raise CaphyError(
             f"{path}: line {surplus} has more cells than the first line names; commas part columns, points decimals"
         )
     curves = []
-    for (fabric, direction, loading), part in _groups(rows, ("fabric", "direction", "loading")).items():
+    for (fabric, direction, loading), part in _groups(rows, NAMES).items():
         columns = [_column(part, name, path) if name in names else np.full(len(part), np.nan) for name in COLUMNS]
         axial, transverse, force = columns
         number = _loading(loading, path, part[0][0])

@@ -136,6 +136,24 @@ class Measurement:
         """The same measurement with further remarks."""
         return replace(self, notes=(*self.notes, *notes))
 
+    def every(self, step: int) -> Measurement:
+        """The first and each further ``step``-th frame, at a rate so many times lower; the preroll likewise."""
+        kept = np.arange(0, len(self), step)
+        of_frames = ("vertices", "poses", "transl", "body_vertices", "pinned_positions", "visibility")
+        fewer = {name: value[kept] for name in of_frames if (value := getattr(self, name)) is not None}
+        if self.preroll_poses is not None and self.preroll_transl is not None:
+            led = slice(len(self.preroll_poses) % step, None, step)  # the last of them a step before the first frame
+            fewer |= {"preroll_poses": self.preroll_poses[led], "preroll_transl": self.preroll_transl[led]}
+        if self.noise is not None and self.noise.ndim == 2:
+            fewer["noise"] = self.noise[kept]
+        if self.points is not None and self.offsets is not None:
+            seen = np.diff(self.offsets)
+            of_kept = np.repeat(np.arange(len(self)) % step == 0, seen)
+            fewer |= {"points": self.points[of_kept], "offsets": np.r_[0, np.cumsum(seen[kept])]}
+            if self.noise is not None:
+                fewer["noise"] = self.noise[of_kept]
+        return replace(self, fps=self.fps / step, **fewer)
+
     def _error(self, message: str) -> CaphyError:
         return CaphyError(f"{self.source or self.name or 'measurement'}: {message}")
 
