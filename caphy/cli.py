@@ -6,7 +6,6 @@ import importlib
 import os
 import signal
 import sys
-from collections import Counter
 from typing import NoReturn
 
 from caphy.errors import CaphyError
@@ -35,8 +34,8 @@ COMMANDS = {
     "serve": "serve avatars over HTTP",
     "demo": "serve the default avatar, send it a motion, write a GLB and a contact sheet",
 }
-REPEATABLE = ("--add", "--row")
-"""Options that may be given more than once; of any other the last alone would count."""
+LISTS = ("--base", "--held-out", "--effect-file", "--poses", "--motions", "--garments", "--kinds", "--betas")
+"""Options with any number of values; given twice, the last ones alone would count."""
 INTERRUPTED = 128 + signal.SIGINT
 
 
@@ -72,15 +71,10 @@ def main(arguments: list[str] | None = None) -> int:
     if name not in COMMANDS:
         print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
         return 2
-    twice = [option for option, times in Counter(map(_option, rest)).items() if option and times > 1]
-    if wrong := [option for option in twice if option not in REPEATABLE]:
-        return _refused(name, f"{wrong[0]} is given twice; give all its values after one {wrong[0]}")
+    given = [argument.split("=", maxsplit=1)[0].replace("_", "-") for argument in rest]
+    if twice := [option for option in LISTS if given.count(option) > 1]:
+        return _refused(name, f"{twice[0]} is given twice; give all its values after one {twice[0]}")
     return _run(name, rest)
-
-
-def _option(argument: str) -> str:
-    """The option that an argument is, whatever its value; empty where it is none."""
-    return argument.split("=", maxsplit=1)[0].replace("_", "-") if argument[:2] == "--" and argument[2:] else ""
 
 
 def _run(name: str, rest: list[str]) -> int:

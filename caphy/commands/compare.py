@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -201,12 +202,16 @@ def _with_avatar(command: Compare, bundle: AvatarBundle, measurement: Measuremen
 
 
 class Progress:
-    """A bar with an estimate of the time left, on the error stream."""
+    """A bar for one part of the work after another, each with an estimate of its own, on the error stream.
+
+    How many parts there will be nobody knows: it says how long all have taken."""
 
     def __init__(self, name: str) -> None:
         from tqdm import tqdm
 
         self._bar = tqdm(total=1, desc=name, unit="window", leave=False)
+        self._began = self._last = self._bar.start_t
+        self._what = ""
 
     def __enter__(self) -> Progress:
         return self
@@ -215,8 +220,13 @@ class Progress:
         self._bar.close()
 
     def __call__(self, what: str, done: int, total: int) -> None:
+        if what != self._what or done < self._bar.n:
+            self._bar.reset(total)
+            self._bar.start_t = self._bar.last_print_t = self._last  # the first window of a part began with it
+        self._what, self._last = what, time.time()
+        minutes, seconds = divmod(int(self._last - self._began), 60)
         self._bar.total = total
-        self._bar.set_postfix_str(what, refresh=False)
+        self._bar.set_postfix_str(f"{what}; {minutes}:{seconds:02d} in all", refresh=False)
         self._bar.update(done - self._bar.n)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from caphy import commands
-from caphy.cli import REPEATABLE, main
+from caphy.cli import LISTS, main
 
 
 def test_the_package_runs_as_the_command_does() -> None:
@@ -29,6 +29,7 @@ def test_an_option_given_twice_is_refused(again, capsys) -> None:
     assert "caphy diagnose: --base is given twice; give all its values after one --base" in capsys.readouterr().err
 
 
-def test_what_may_be_given_twice_is_what_commands_append() -> None:
+def test_they_are_all_options_with_any_number_of_values() -> None:
     sources = "\n".join(path.read_text() for path in Path(commands.__file__).parent.glob("*.py"))
-    assert {f"--{name}" for name in re.findall(r"(\w+): tyro\.conf\.UseAppendAction", sources)} == set(REPEATABLE)
+    lists = re.findall(r"^    (\w+): (?:tuple\[[^\n]*, \.\.\.\]|EffectFiles) = ", sources, re.MULTILINE)
+    assert {f"--{name.replace('_', '-')}" for name in lists} == set(LISTS)

@@ -54,7 +54,7 @@ def test_trains_and_says_what_it_wrote(inputs, capsys):
         (["--fabric", "gray-interlock", "--model", "m.json"], "not both"),
         (["--steps", "0"], "--steps must be positive"),
         (["--minutes", "-1"], "--minutes must be positive"),
-        (["--held-out", "nowhere.npz"], "nowhere.npz"),
+        (["nowhere.npz"], "nowhere.npz"),  # held out too
         (["--fabric", "silk-of-spiders"], "silk-of-spiders"),
         (["--resume"], "checkpoint.safetensors"),
     ],
