@@ -75,6 +75,7 @@ def test_check_finds_what_is_wrong_with_a_users_file(tmp_path: Path, capsys: pyt
     for check in ("documented", "gradient is slope", "units fit", "same in every place"):
         assert f"wrong  {check}: FAILED" in printed
     assert "wrong  finite: ok" in printed and "Traceback" not in printed
+    assert "it may say: lacks" not in printed  # amid what no effect rightly lacks
 
 
 def test_a_property_that_there_is_not_cannot_be_lacked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

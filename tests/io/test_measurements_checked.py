@@ -191,6 +191,10 @@ def test_times_for_frame_numbers_are_told(tmp_path):
     np.savez(tmp_path / "text.npz", **arrays, frame_count="x")
     with pytest.raises(CaphyError, match="frame_count must be one number"):
         read_measurement(tmp_path / "text.npz")
+    for fps, got in ((True, "True"), (np.full(20, 30.0), r"an array of shape \(20,\)"), ("60 Hz", "60 Hz")):
+        np.savez(tmp_path / "fps.npz", **(arrays | {"fps": fps}))
+        with pytest.raises(CaphyError, match=f"fps must be one number, got .*{got}"):
+            read_measurement(tmp_path / "fps.npz")
 
 
 def test_a_frame_count_alone_counts(tmp_path):

@@ -168,8 +168,12 @@ def _spread(given: dict[str, Any], index: np.ndarray, count: Any, source: str) -
 
 
 def _number(value: Any, name: str, source: str) -> float:
+    given = np.asarray(value)
+    if given.size != 1 or given.dtype == bool:
+        what = f"an array of shape {given.shape}" if given.size != 1 else repr(value)
+        raise CaphyError(f"{source}: {name} must be one number, got {what}")
     try:
-        return float(np.asarray(value).reshape(()))
+        return float(given.reshape(()))
     except (TypeError, ValueError) as error:
         raise CaphyError(f"{source}: {name} must be one number, got {value!r}") from error
 

@@ -26,7 +26,9 @@ def read_measurement(path: str | Path) -> Measurement:
     elif path.suffix == ".npz":
         measurement, stated = read_archive(path)
     else:
-        raise CaphyError(f"{path}: a measurement is an .npz file or a folder with a {DESCRIPTION}")
+        raise CaphyError(
+            f"{path}: a measurement is an .npz file or a folder with a {DESCRIPTION}, a table of tensile tests a .csv"
+        )
     require_plausible(measurement, axes_stated=stated)
     return measurement
 
