@@ -155,10 +155,9 @@ def test_what_acts_in_contact_is_weighed_where_any_measurement_has_a_body(plain)
     assert not found.evidence.b[:, place].any()  # the ball is far away
 
 
-@pytest.mark.parametrize("factor", [2.5, 0.4])
-def test_base_measurements_put_parameters_right_that_are_far_off(plain, dragged, factor):
-    """... and nothing else: what is in the model cannot be found to be missing."""
-    wrong = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * factor, lame_mu=11.1 * factor)
+def test_base_measurements_put_parameters_right_that_are_far_off(plain, dragged):
+    """... and nothing else: what is in the model cannot be found to be missing. Clouds, below, put 2.5 times right."""
+    wrong = MODEL.with_effect("strain_stvk", lame_lambda=20.9 * 0.4, lame_mu=11.1 * 0.4)
     known = from_base(Study([Scene.of(plain)]), wrong)
     assert list(known.model.effects) == list(wrong.effects)
     assert abs(known.model.effects["strain_stvk"]["lame_mu"] / 11.1 - 1) < 0.1
