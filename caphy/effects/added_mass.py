@@ -7,7 +7,7 @@ from torch import Tensor
 
 from caphy.effects.base import Effect, Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.vectors import dot
+from caphy.effects.vectors import dot, isotropic
 
 
 class AddedMass(Effect):
@@ -31,3 +31,18 @@ class AddedMass(Effect):
         assert e.target is not None and e.dt is not None
         (offset,) = e.x - e.target
         return p["density"] * e.rest["area"] / (2 * e.dt**2) * dot(offset, offset)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        assert e.target is not None
+        return self.energy(e, p), self._stiffness(e, p) * (e.x - e.target)
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        """Constant and positive semi-definite."""
+        return isotropic(self._stiffness(e, p), e.x)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        return self.hessian(e, p)
+
+    def _stiffness(self, e: Elements, p: Values) -> Tensor:
+        assert e.dt is not None
+        return p["density"] * e.rest["area"] / e.dt**2

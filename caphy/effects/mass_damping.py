@@ -7,7 +7,7 @@ from torch import Tensor
 
 from caphy.effects.base import Effect, Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.vectors import dot
+from caphy.effects.vectors import dot, isotropic
 
 
 class MassDamping(Effect):
@@ -31,3 +31,14 @@ class MassDamping(Effect):
         assert e.dt is not None
         (velocity,) = e.velocity
         return 0.5 * e.dt * p["rate"] * e.rest["mass"] * dot(velocity, velocity)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        return self.energy(e, p), p["rate"] * e.rest["mass"] * e.velocity
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        """Constant and positive semi-definite."""
+        assert e.dt is not None
+        return isotropic(p["rate"] * e.rest["mass"] / e.dt, e.x)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        return self.hessian(e, p)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from caphy.effects.air import lagged_area
@@ -26,3 +27,14 @@ class Pressure(Effect):
     def energy(self, e: Elements, p: Values) -> Tensor:
         assert e.lagged is not None
         return -p["pressure"] * dot(lagged_area(e), (e.x - e.lagged).mean(0))
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        force = -p["pressure"] / 3 * lagged_area(e)
+        return self.energy(e, p), force.expand(e.x.shape)
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        """Zero: the force is that of the lagged shape."""
+        return torch.zeros_like(e.x).expand(3, 3, *e.x.shape)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        return self.hessian(e, p)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from caphy.effects.base import Effect, Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.vectors import dot, uniform
+from caphy.effects.vectors import dot, isotropic, uniform
 
 
 class UniformAcceleration(Effect):
@@ -31,3 +32,13 @@ class UniformAcceleration(Effect):
     def energy(self, e: Elements, p: Values) -> Tensor:
         (x,) = e.x
         return -e.rest["mass"] * dot(uniform(p["acceleration"], x), x)
+
+    def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
+        force = -e.rest["mass"] * uniform(p["acceleration"], e.x[0])
+        return self.energy(e, p), force.expand(e.x.shape)
+
+    def hessian(self, e: Elements, p: Values) -> Tensor:
+        return isotropic(torch.zeros_like(e.rest["mass"]), e.x)
+
+    def projected_hessian(self, e: Elements, p: Values) -> Tensor:
+        return self.hessian(e, p)
