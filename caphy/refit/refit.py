@@ -103,23 +103,25 @@ def refit(
 
 
 def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: Sequence[str]) -> str:
-    """Why a fit does not hold on held-out measurements, or nothing is known of what was added; empty where all is well.
+    """Why a fit does not hold on held-out measurements, and that nothing is known of what was added; empty where all is
+    well.
 
     ``numbers`` begin with a value and its interval.
     """
+    found = []
     if added and not any(low > 0 or high < 0 for _, low, high, *_ in numbers.values()):
-        return "none of its numbers is surely different from zero"
+        found.append("none of its numbers is surely different from zero")
     if errors.share < max(PROVEN * fitted.share, LEAST):
-        return (
+        found.append(
             f"on held-out measurements the misfit must fall by a third of what it falls by where the model is fitted "
             f"({100 * fitted.share:.1f} %) and by {100 * LEAST:.0f} %, but falls by {100 * errors.share:.1f} %"
         )
     if errors.after_mm >= errors.before_mm:
-        return (
+        found.append(
             f"on held-out measurements the median distance must fall, but it goes from {errors.before_mm:.2f} to "
             f"{errors.after_mm:.2f} mm"
         )
-    return ""
+    return "; ".join(found)
 
 
 @dataclass(frozen=True, eq=False)
