@@ -210,7 +210,7 @@ class Progress:
         from tqdm import tqdm
 
         self._bar = tqdm(total=1, desc=name, unit="window", leave=False)
-        self._began = self._last = self._bar.start_t
+        self._began = self._last = time.time()
         self._what = ""
 
     def __enter__(self) -> Progress:
