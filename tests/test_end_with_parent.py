@@ -48,6 +48,10 @@ def test_a_parent_that_is_killed_leaves_nobody_behind(tmp_path: Path) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
+_DEFAULT = "signal.signal(signal.SIGINT, signal.SIG_DFL); os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+HEEDS = (sys.executable, "-c", f"import os, signal, sys; {_DEFAULT}")
+"""Python that heeds Ctrl-C, also where the tests run in the background of a shell, whose jobs ignore it."""
+
 STOPPED = """
 import os, signal, sys, threading, time
 from caphy.refit.crew import Crew
@@ -67,7 +71,7 @@ def test_ctrl_c_amid_their_beginning_leaves_no_traceback(tmp_path: Path, after: 
     script = tmp_path / "parent.py"
     script.write_text(STOPPED)
     ended = subprocess.run(
-        [sys.executable, str(script), str(after)], capture_output=True, text=True, start_new_session=True, check=False
+        [*HEEDS, str(script), str(after)], capture_output=True, text=True, start_new_session=True, check=False
     )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "stopped\n", "")
 
@@ -95,6 +99,6 @@ def test_ctrl_c_does_not_wait_for_what_is_written_to_processes_that_are_gone(tmp
     script = tmp_path / "parent.py"
     script.write_text(WRITING)
     ended = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+        [*HEEDS, str(script)], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
     )
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
