@@ -136,6 +136,7 @@ def held_out(share: float, error: float, after_mm: float = 2.95) -> HeldOut:
         (held_out(0.02, 0.005), False),  # sure, but a tenth of what was promised
         (held_out(0.05, 0.02), True),  # a third, or nearly so
         (held_out(0.0, 0.1, after_mm=2.8), True),  # the median tells what the misfit cannot
+        (held_out(-0.003, 0.053, after_mm=2.8), False),  # ... unless it rises: an added mass that is not there
         (held_out(0.10, 0.03, after_mm=3.05), False),  # the error must fall
         (held_out(-0.2, 0.05), False),
         (held_out(0.1, np.inf), False),  # one window knows no error of its own
