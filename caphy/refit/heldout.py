@@ -66,8 +66,9 @@ class HeldOut:
 
         The median error must fall, and the misfit must not rise. The median falls by 3 %, or the misfit falls by a
         third of that share or nearly so, and by two standard errors or in nearly all windows (a sign test of their
-        medians: of five windows, a standard error is hardly known). Where few windows decide the misfit must fall by more than chance gives, and by a third of
-        what it would fall by in these very windows. What is found where nothing is missing rarely does.
+        medians: of five windows, a standard error is hardly known). Where few windows decide the misfit must fall by
+        more than chance gives, and by a third of what it would fall by in these very windows. What is found where
+        nothing is missing rarely does.
         """
         if self.share < 0:
             return False
