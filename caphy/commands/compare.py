@@ -151,6 +151,7 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     from caphy.body.model import BodyModel
     from caphy.garment.template import Garment
     from caphy.measure.comparison import compare
+    from caphy.measure.pace import slowed
     from caphy.measure.scene import Scene
     from caphy.refit.crew import Crew
 
@@ -158,6 +159,8 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
     scenes = [Scene.of(measurement, garment, body) for measurement in measured]
+    for note in filter(None, map(slowed, measured)):
+        print(f"Note: {note}.")
     found = []
     with Crew(command.effect_file, kept=kept) as crew:
         for scene in scenes:

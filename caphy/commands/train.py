@@ -317,12 +317,13 @@ def _on_body(model: Model, initial: Initial | None, options: Train) -> Model:
     from caphy.effects.model import Model
     from caphy.effects.presets import snug_model
 
-    known = Model.from_json(json.dumps(initial.model), str(options.init)) if initial and initial.model else snug_model()
+    known, whose = snug_model(), "SNUG"
+    if initial is not None and initial.model:
+        known, whose = Model.from_json(json.dumps(initial.model), str(options.init)), str(options.init)
     lacking = [name for name in BODY_EFFECTS if name in known.effects and name not in model.effects]
     for name in lacking:
         model = model.with_effect(name, **known.effects[name])
     if lacking and os.environ.get("RANK", "0") == "0":
-        whose = options.init if initial and initial.model else "SNUG"
         print(f"note: {options.model} is of cloth that no body wears: {' and '.join(lacking)} are taken from {whose}")
     return model
 

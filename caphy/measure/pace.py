@@ -24,8 +24,8 @@ def slowed(measurement: Measurement) -> str | None:
     if step == 1:
         return None
     return (
-        f"{measurement.name} has {measurement.fps:g} frames a second, of which one of {step} is used: windows of 8 "
-        "frames would be too short to tell a force from noise"
+        f"{measurement.name} has {measurement.fps:g} frames a second, of which one of {step} is used: windows would "
+        "be too short to tell a force from noise"
     )
 
 
