@@ -114,10 +114,14 @@ class BodyModel:
         for start in range(0, len(poses), _FRAMES_AT_ONCE):
             part = slice(start, start + _FRAMES_AT_ONCE)
             rotations = matrix_from_axis_angle(poses[part])
-            blended = blend_transforms(self.weights, joint_transforms(rotations, joints, self.parents))
-            posed[part] = skin(blended, self._corrected(rest, rotations))
+            posed[part] = self.skinned(rest, rotations, joint_transforms(rotations, joints, self.parents))
             posed[part] += transl[part, None]
         return posed
+
+    def skinned(self, rest: np.ndarray, rotations: np.ndarray, transforms: np.ndarray) -> np.ndarray:
+        """Vertices (T, V, 3) [m] of rest vertices (V, 3), joint rotations (T, 55, 3, 3) and the skinning transforms
+        (T, 55, 3, 4) that follow from them, before ``transl``."""
+        return skin(blend_transforms(self.weights, transforms), self._corrected(rest, rotations))
 
     def posed_joints(
         self, poses: np.ndarray, transl: np.ndarray | None = None, betas: np.ndarray | None = None

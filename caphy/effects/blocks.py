@@ -18,12 +18,11 @@ from caphy.effects.base import BodyState, Effect, Elements, Step
 from caphy.effects.bending import Bending
 from caphy.effects.bending_damping import BendingDamping
 from caphy.effects.body_contact import BodyContact
-from caphy.effects.compiled import Bound
 from caphy.effects.gravity import Gravity
 from caphy.effects.hinge import Hinge
 from caphy.effects.inertia import Inertia
 from caphy.effects.membrane import Deformation, Membrane
-from caphy.effects.potential import Potential, Term, kernel_of
+from caphy.effects.potential import Potential, Term
 from caphy.effects.strain_stvk import StrainStVK
 
 COMPILED: Mapping[type[Effect], Callable | None] = {
@@ -59,11 +58,9 @@ def add_blocks(
         slots: places among the blocks of the pairs of an element's corners (n, k, k), -1 where not stored.
     """
     effect = type(term.effect)
-    if effect in COMPILED and (kernel := kernel_of(effect)) is not None:
-        if (loop := COMPILED[effect]) is not None:
-            _, fields, constants = kernel(Bound(term.index, term.rest, term.values, step, body))
-            fixed = (_array(value) if isinstance(value, Tensor) else value for value in constants)
-            loop(*(_array(field)[None] for field in (x, *fields)), *fixed, float(projection), slots, blocks)
+    if effect in COMPILED and (loop := potential.loop(term, x, step, body)) is not None:
+        if (add := COMPILED[effect]) is not None:
+            add(_array(x)[None], *loop.fields, *loop.constants, float(projection), slots, blocks)
         return
     elements = potential.elements(term, x, step, body)
     if issubclass(effect, Membrane) and effect.hessian is Membrane.hessian:

@@ -75,6 +75,20 @@ def penalty(deep: Tensor, skin: Tensor) -> Tensor:
     return shallow * shallow * (3 * deep - 2 * shallow)
 
 
+def braked(e: Elements, p: Values, move: Tensor, hold: Tensor) -> Tensor:
+    """A move (3, n) [m] of vertices that presses none deeper than where the body's push balances what holds it.
+
+    A step that knows push and slope where it begins, u = 0, knows nothing of 3 k a u^2, which is added u deeper: it
+    goes on to U. Held there with ``hold`` (n,) [N/m] a vertex comes to rest where 3 k a u^2 = hold (U - u).
+    """
+    assert e.body is not None
+    normal, begun = e.body["normal"], depth(e, p["distance"])
+    over = (begun.clamp_max(0) - dot(normal, move)).clamp_min(0)  # U, from where pushing begins
+    grows = (6 * p["stiffness"] * e.rest["area"]).clamp_min(1e-300)
+    rest = (torch.sqrt(hold * hold + 2 * grows * hold * over) - hold) / grows
+    return move + (over - rest).clamp_min(0) * normal
+
+
 def depth(e: Elements, distance: Tensor) -> Tensor:
     """How far vertices (..., n) lie below a distance from the body and their own layers [m]; negative above."""
     assert e.body is not None

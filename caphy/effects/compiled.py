@@ -100,27 +100,48 @@ KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments]] = {
 """The effects that have a kernel; :func:`caphy.effects.potential.kernel_of` asks whether it still is theirs."""
 
 
-def accumulate(arguments: Arguments, x: Tensor, energy: Tensor, gradient: Tensor) -> None:
+@dataclass(frozen=True)
+class Loop:
+    """A kernel with all that it reads but the positions, as arrays.
+
+    Attributes:
+        kernel: the compiled loop.
+        fields: vertex fields (F, V, 3), a frame after another.
+        constants: arrays and numbers, the same in all frames.
+    """
+
+    kernel: Callable
+    fields: tuple[np.ndarray, ...]
+    constants: tuple[np.ndarray | float, ...]
+
+    @staticmethod
+    def of(arguments: Arguments, x: Tensor) -> Loop:
+        """What a kernel is called with at positions like x (..., V, 3)."""
+        kernel, fields, constants = arguments
+        fixed = (value.detach().contiguous().numpy() if isinstance(value, Tensor) else value for value in constants)
+        return Loop(kernel, tuple(_frames(field, x) for field in fields), tuple(fixed))
+
+
+def accumulate(loop: Loop, x: Tensor, energy: Tensor, gradient: Tensor) -> None:
     """Add an effect at positions (..., V, 3) to ``energy`` (...,) and ``gradient`` (..., V, 3), all contiguous."""
-    kernel, fields, constants = arguments
-
-    def frames(field: Tensor) -> np.ndarray:
-        if field.shape != x.shape or field.dtype != x.dtype:
-            field = field.to(x).expand_as(x)
-        return field.detach().reshape(-1, *x.shape[-2:]).contiguous().numpy()
-
-    moving = [frames(x), *map(frames, fields)]
-    fixed = [value.detach().contiguous().numpy() if isinstance(value, Tensor) else value for value in constants]
+    moving = [_frames(x, x), *loop.fields]
     sums = energy.view(-1).numpy(), gradient.view(-1, *x.shape[-2:]).numpy()
 
     def run(part: slice) -> None:
-        kernel(*(field[part] for field in moving), *fixed, *(total[part] for total in sums))
+        loop.kernel(*(field[part] for field in moving), *loop.constants, *(total[part] for total in sums))
 
     parts = _parts(len(moving[0]))
     if len(parts) == 1:
         run(parts[0])
     else:
         list(_pool().map(run, parts))
+
+
+def _frames(field: Tensor, x: Tensor) -> np.ndarray:
+    """A vertex field as frames (F, V, 3) like those of x (..., V, 3)."""
+    if field.shape != x.shape or field.dtype != x.dtype:
+        field = field.to(x).expand_as(x)
+    return field.detach().reshape(-1, *x.shape[-2:]).contiguous().numpy()
 
 
 def _parts(count: int) -> list[slice]:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from caphy.effects.base import HISTORY, BodyState, Effect, Elements, Step, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import KERNELS, Arguments, Bound, accumulate
+from caphy.effects.compiled import KERNELS, Arguments, Bound, Loop, accumulate
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.effects.trial import irregular_cloth, moment
@@ -108,6 +108,7 @@ class Potential:
         self.cloth = cloth if cloth.density == model.density else replace(cloth, density=model.density)
         self.terms = {name: self._bind(name) for name in model.effects}
         self._histories: dict[str, tuple[Step, dict[str, Any]]] = {}
+        self._loops: dict[str, tuple[tuple[Term, Step | None, BodyState | None], Loop]] = {}
         self._recorded: dict[tuple, Recorded] = {}
 
     def _bind(self, name: str) -> Term:
@@ -196,15 +197,30 @@ class Potential:
     def _summed(self, x: Tensor, step: Step | None, body: BodyState | None) -> tuple[Tensor, Tensor]:
         energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
         for _, term in self.present(step, body):
-            kernel = kernel_of(type(term.effect)) if x.device.type == "cpu" else None
-            if kernel is not None:
-                accumulate(kernel(Bound(term.index, term.rest, term.values, step, body)), x, energy, gradient)
+            loop = self.loop(term, x, step, body) if x.device.type == "cpu" else None
+            if loop is not None:
+                accumulate(loop, x, energy, gradient)
                 continue
             elements = self.elements(term, x, step, body)
             values, forces = term.effect.gradient(elements, term.values)
             energy += values.sum(-1)
             gradient += term.scatter(forces).movedim(0, -1)
         return energy, gradient
+
+    def loop(self, term: Term, x: Tensor, step: Step | None, body: BodyState | None) -> Loop | None:
+        """The kernel of a term at positions like x (..., V, 3) with all that it reads; None where it has none."""
+        kernel = kernel_of(type(term.effect))
+        if kernel is None:
+            return None
+        moving = term.effect.needs_step or term.effect.reads_step
+        told = term, step if moving else None, body if term.effect.needs_body else None
+        kept = self._loops.get(term.effect.name)
+        if kept is not None and x.dim() == 2 and all(old is new for old, new in zip(kept[0], told, strict=True)):
+            return kept[1]
+        loop = Loop.of(kernel(Bound(term.index, term.rest, term.values, *told[1:])), x)
+        if x.dim() == 2:  # batches of frames take room, and come once
+            self._loops[term.effect.name] = told, loop
+        return loop
 
     def term_gradients(self, x: Tensor, step: Step | None = None, body: BodyState | None = None) -> dict[str, Tensor]:
         """Gradient of each effect's energy [N], name -> (..., V, 3); they add up to :meth:`gradient`."""
@@ -309,7 +325,8 @@ def _same(name: str, kernel: Callable[[Bound], Arguments]) -> bool:
     at, potential = moment(cloth), Potential(Model(cloth.density, {name: {}}), cloth)
     ((_, term, elements),) = potential.acting(at.x, at.step, at.body)
     energy, gradient = at.x.new_zeros(()), torch.zeros_like(at.x)
-    accumulate(kernel(Bound(term.index, term.rest, term.values, at.step, at.body)), at.x, energy, gradient)
+    arguments = kernel(Bound(term.index, term.rest, term.values, at.step, at.body))
+    accumulate(Loop.of(arguments, at.x), at.x, energy, gradient)
     of_each, forces = term.effect.gradient(elements, term.values)
     wanted = term.scatter(forces).movedim(0, -1)
     energies = of_each.sum(), term.effect.energy(elements, term.values).sum()

@@ -25,6 +25,11 @@ CLEAR = 0.004
 """Distance from the body at which a first guess leaves cloth alone [m]."""
 
 _REMEMBERED = 16  # posed bodies kept; a step asks for a few times, again and again
+_SKELETONS = 2048  # kept of skeletons, 10 kB each: whoever rolls a motion out anew asks for the same times
+
+
+_Skeleton = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Joint rotations, the skinning transforms that follow from them, and the root's translation [m]."""
 
 
 class BodyMotion:
@@ -42,7 +47,7 @@ class BodyMotion:
     def __init__(self, body: BodyModel, poses: PoseSequence, garment: Garment, betas: np.ndarray | None = None) -> None:
         """``betas`` (S,) is the body shape the garment was made on; the sequence's own betas are not used."""
         self.body, self.garment, self.betas = body, garment, betas
-        self._joints = body.rest(betas)[1]
+        self._rest, self._joints = body.rest(betas)
         self.poses = poses.to_y_up(self._joints[0])
         self.fps = self.poses.fps
         self._turned = path(_unbroken(quaternion_from_axis_angle(self.poses.poses)), self.fps)
@@ -51,6 +56,7 @@ class BodyMotion:
         self._faces = np.zeros(0, dtype=np.int64)  # answers of the last query, which speed up the next
         self._last: tuple[float, np.ndarray, NearestPoints] | None = None  # time, positions and answers
         self._posed: OrderedDict[float, np.ndarray] = OrderedDict()
+        self._skeletons: OrderedDict[float, _Skeleton] = OrderedDict()
         self._anchor_time, self._anchors = np.nan, garment.vertices
 
     def __len__(self) -> int:
@@ -76,7 +82,9 @@ class BodyMotion:
         if len(missing) > _REMEMBERED:
             return self.body.pose(*self.pose(times), self.betas)
         if missing:
-            self._posed.update(zip(missing, self.body.pose(*self.pose(np.array(missing)), self.betas), strict=True))
+            rotations, transforms, transl = self._turns(np.array(missing))
+            posed = self.body.skinned(self._rest, rotations, transforms) + transl[:, None]
+            self._posed.update(zip(missing, posed, strict=True))
         found = np.stack([self._posed[time] for time in times.tolist()])
         while len(self._posed) > _REMEMBERED:
             self._posed.popitem(last=False)
@@ -84,11 +92,27 @@ class BodyMotion:
 
     def transforms(self, times: np.ndarray) -> np.ndarray:
         """Skinning transforms (N, V, 3, 4) of the garment's vertices at times (N,) [s], translation included."""
-        poses, transl = self.pose(times)
-        skeleton = joint_transforms(matrix_from_axis_angle(poses), self._joints, self.body.parents)
+        _, skeleton, transl = self._turns(np.atleast_1d(times))
         blended = blend_transforms(self.garment.weights, skeleton)
         blended[..., 3] += transl[:, None]
         return blended
+
+    def _turns(self, times: np.ndarray) -> _Skeleton:
+        """Rotations (N, 55, 3, 3), skinning transforms (N, 55, 3, 4) and translations (N, 3) at times (N,) [s]."""
+        missing = [time for time in dict.fromkeys(times.tolist()) if time not in self._skeletons]
+        if len(missing) > _REMEMBERED:
+            return self._turned_at(times)
+        if missing:
+            self._skeletons.update(zip(missing, zip(*self._turned_at(np.array(missing)), strict=True), strict=True))
+        rotations, transforms, transl = zip(*(self._skeletons[time] for time in times.tolist()), strict=True)
+        while len(self._skeletons) > _SKELETONS:
+            self._skeletons.popitem(last=False)
+        return np.stack(rotations), np.stack(transforms), np.stack(transl)
+
+    def _turned_at(self, times: np.ndarray) -> _Skeleton:
+        poses, transl = self.pose(times)
+        rotations = matrix_from_axis_angle(poses)
+        return rotations, joint_transforms(rotations, self._joints, self.body.parents), transl
 
     def anchors(self, times: np.ndarray) -> np.ndarray:
         """The skinned garment template (N, V, 3) [m] at times (N,) [s]."""

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from caphy.effects.base import BodyState, Step
+from caphy.effects.body_contact import BodyContact, braked
 from caphy.effects.potential import Potential
 from caphy.errors import Diverged
 from caphy.solve.assembly import Hessian
@@ -28,6 +29,9 @@ _LONGEST = 16
 _SLOW = 0.5  # fall of the residual in one iteration that counts as slow
 _LEAPS = 3  # steps that a minimisation may take without descent
 _DIRECTIONS = np.float32  # precision of Newton directions: relative errors of 1e-4 do not cost an iteration
+_NEAR = 40  # times the tolerance: the residual at which the last factor is tried again, at a quarter of the cost
+_FALLS = 0.3  # by which it must fall with that
+_HELD = 3.0  # times its inertia: what holds a vertex that is pressed into the body, elasticity included
 _PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
 Body = Callable[[Tensor], BodyState]
@@ -167,15 +171,20 @@ class Newton:
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise Diverged("the state to start from must be finite, with finite energy; check pose, garment and model")
-        level, leaps = 0, 0
+        level, leaps, factor = 0, 0, None
         for iteration in range(self.max_iterations):
             renewals = (_STATIC_RENEWALS if step is None else _RENEWALS) if here.residual <= self.tolerance else 0
             if here.residual <= _SETTLING * self.tolerance and planes.settle(here.x, renewals):
                 here = self._evaluate(here.x, step, planes.state)
             if here.residual <= self.tolerance:
                 return here.x, Report(True, iteration, here.residual, "converged")
+            if (there := self._by_last(factor, here, step)) is not None:
+                here = self._followed(there, step, planes)
+                continue
             factor, damping, level = self._factor(here, step, damping, level)
             direction, fraction = _safe(here, -factor.solve(here.gradient))
+            if iteration == 0:
+                direction = self._braked(here, direction, step)
             there, fraction = self._search(here, direction, fraction, step)
             if there is None and level < len(_PROJECTIONS) - 1:
                 level += 1
@@ -192,7 +201,7 @@ class Newton:
                 damping, level = damping / 4 if damping > 1e-6 else 0.0, max(level - 1, 0)
             else:
                 level = min(level + 1, len(_PROJECTIONS) - 1)
-            here = self._evaluate(there.x, step, planes.state) if planes.follow(there.x) else there
+            here = self._followed(there, step, planes)
         converged = here.residual <= self.tolerance
         reason = "converged" if converged else f"stopped after {self.max_iterations} iterations"
         return here.x, Report(converged, self.max_iterations, here.residual, reason)
@@ -213,6 +222,31 @@ class Newton:
         energy, gradient = self.potential.gradient(x, step, state)
         forces = gradient.numpy()
         return _Point(x, state, float(energy), forces if self._free is None else forces * self._free)
+
+    def _followed(self, there: _Point, step: Step | None, planes: _Planes) -> _Point:
+        """A trial state as it is seen once contact planes have followed it."""
+        return self._evaluate(there.x, step, planes.state) if planes.follow(there.x) else there
+
+    def _by_last(self, factor: Factor | None, here: _Point, step: Step | None) -> _Point | None:
+        """Where the factor of an iteration before leads from near the minimum; None where it does not help."""
+        if factor is None or here.residual > _NEAR * self.tolerance:
+            return None
+        there = self._evaluate(here.x - torch.from_numpy(factor.solve(here.gradient)), step, here.body)
+        return there if there.residual <= _FALLS * here.residual else None
+
+    def _braked(self, here: _Point, direction: np.ndarray, step: Step | None) -> np.ndarray:
+        """A direction (V, 3) [m] that leaves no vertex deep in the body, which it may know nothing of yet.
+
+        Each iteration would halve the depth only. Later ones are left as they are: what holds a vertex by then is the
+        cloth around it more than its own inertia.
+        """
+        contact = self.potential.terms.get(BodyContact.name)
+        if contact is None or here.body is None or step is None:
+            return direction
+        hold = torch.from_numpy(_HELD / step.dt**2 * self._mass)
+        elements = self.potential.elements(contact, here.x, step, here.body)
+        shorter = braked(elements, contact.values, torch.from_numpy(direction).T, hold).T.numpy()
+        return shorter if (here.gradient * shorter).sum() < 0 else direction
 
     def _factor(self, here: _Point, step: Step | None, damping: float, level: int) -> tuple[Factor, float, int]:
         """The factorised Hessian at a point, with the damping and the level of projection that it needed."""
