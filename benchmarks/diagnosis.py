@@ -21,8 +21,8 @@ import tyro
 
 from caphy.challenge.hidden import HIDDEN, NOTHING, ONE, OUTSIDE, PAIRS
 from caphy.challenge.world import World, make
+from caphy.io.places import write_text
 from caphy.processes import end_at_ctrl_c
-from caphy.register.result import write_text
 
 
 @dataclass(frozen=True)

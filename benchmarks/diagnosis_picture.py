@@ -19,7 +19,7 @@ import tyro
 
 from benchmarks.diagnosis import key, right, rows
 from caphy.challenge.hidden import ONE
-from caphy.register.result import write_text
+from caphy.io.places import write_text
 
 LOW, HIGH = 0.25, 1.75
 """Ends of each column's axis: told over hidden."""

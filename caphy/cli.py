@@ -71,6 +71,8 @@ def main(arguments: list[str] | None = None) -> int:
     if name not in COMMANDS:
         print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
         return 2
+    if "" in rest:
+        return _refused(name, "an argument is empty; is a variable of your shell not set?")
     given = [argument.split("=", maxsplit=1)[0].replace("_", "-") for argument in rest]
     if twice := [option for option in LISTS if given.count(option) > 1]:
         return _refused(name, f"{twice[0]} is given twice; give all its values after one {twice[0]}")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
 
 import caphy
+from caphy.effects.sources import sources
 from caphy.errors import CaphyError
 from caphy.garment.template import read_npz, write_npz
 
@@ -19,8 +20,9 @@ class Kept:
     """A folder of arrays, each file named by a digest of all that they follow from; without one nothing is kept."""
 
     def __init__(self, folder: Path | None = None, effect_files: Sequence[Path] = ()) -> None:
-        """``effect_files``: the user's own effects, whose code counts, and that of what lies beside them."""
+        """``effect_files``: the user's own effects, registered before: they count with all that they follow from."""
         self.folder = folder
+        self._failed = False
         self._code = "" if folder is None else digest(_sources(effect_files))
 
     def key(self, *of: object) -> str:
@@ -37,19 +39,23 @@ class Kept:
             return None
 
     def keep(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write arrays by that name, at once or not at all: a full disk does not end the work, only what is kept."""
-        if self.folder is not None:
-            with suppress(OSError):
-                write_npz(self.folder / f"{key}.npz", arrays, compressed=False)  # what was computed hardly shrinks
+        """Write arrays by that name, at once or not at all: a full disk does not end the work, only what is kept; it
+        is said once."""
+        if self.folder is None:
+            return
+        try:
+            write_npz(self.folder / f"{key}.npz", arrays, compressed=False)  # what was computed hardly shrinks
+        except OSError as error:
+            if not self._failed:
+                print(f"{self.folder}: unfinished work cannot be kept there ({error.strerror})", file=sys.stderr)
+            self._failed = True
 
 
 def _sources(effect_files: Sequence[Path]) -> list[bytes]:
-    """The code of caphy, and of the user's effects with whatever they may import from beside them."""
+    """The code of caphy, and what the user's effects follow from."""
     own = sorted(Path(caphy.__file__).parent.rglob("*.py"))
-    beside = [
-        file for folder in dict.fromkeys(f.resolve().parent for f in effect_files) for file in folder.glob("*.py")
-    ]
-    return [file.read_bytes() for file in (*own, *sorted(beside))]
+    theirs = sorted({file for effect in effect_files for file in sources(effect)})
+    return [file.read_bytes() for file in (*own, *theirs)]
 
 
 def digest(*values: object) -> str:

@@ -49,7 +49,9 @@ def test_a_digest_is_the_same_in_every_process() -> None:
     assert len(told) == 1
 
 
-def test_half_a_file_and_another_effect_s_code_are_not_recalled(tmp_path: Path) -> None:
+def test_half_a_file_and_another_effect_s_code_are_not_recalled(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     effect = tmp_path / "mine.py"
     effect.write_text("one")
     kept = Kept(tmp_path / "kept", [effect])
@@ -67,7 +69,9 @@ def test_half_a_file_and_another_effect_s_code_are_not_recalled(tmp_path: Path) 
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     assert kept.recall(key) is None
     full = Kept(effect)  # no folder can be made there, as on a full disk
-    full.keep("key", {"values": np.zeros(1)})
+    for _ in range(2):
+        full.keep("key", {"values": np.zeros(1)})
+    assert capsys.readouterr().err.count("unfinished work cannot be kept there") == 1
     assert full.recall("key") is None
     nowhere = Kept()
     nowhere.keep("key", {"values": np.zeros(1)})

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from caphy.commands.compare import Progress, _write_text
+from caphy.commands.compare import Progress
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
-from caphy.io.places import writable_folder
+from caphy.io.places import writable_folder, write_text
 
 if TYPE_CHECKING:
     from caphy.challenge.world import World
@@ -101,9 +101,9 @@ def _written(command: New, world: World) -> None:
             path = command.output / f"{part}_{number}.npz"
             write_measurement(measurement, path)
             paths[part].append(str(path))
-    _write_text(command.output / "model.json", world.model.to_json())
+    write_text(command.output / "model.json", world.model.to_json())
     text, digest = seal(world.answer)
-    _write_text(command.output / NAME, text)
+    write_text(command.output / NAME, text)
     files = [path for found in paths.values() for path in found]
     print("\n".join(map(str, [command.output / "model.json", *files, command.output / NAME])))
     print(f"sealed answer, SHA-256 {digest}")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +13,7 @@ import tyro
 
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
-from caphy.io.places import writable_folder
+from caphy.io.places import writable_folder, write_text
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
@@ -81,7 +79,7 @@ def write(comparisons: Sequence[Comparison], curves: Sequence[dict], title: str,
     command.output.mkdir(parents=True, exist_ok=True)
     written = {"compare.json": json.dumps(document, indent=1, allow_nan=False), "compare.html": page}
     for name, text in written.items():
-        _write_text(command.output / name, text)
+        write_text(command.output / name, text)
     for name, sentences in [(f["measurement"]["name"], f["sentences"]) for f in figures] + [
         (table["name"], table["sentences"]) for table in curves
     ]:
@@ -240,11 +238,3 @@ def _title(model: str) -> str:
 def _listed(paths: Sequence[Path]) -> str:
     names = [path.stem for path in paths]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _write_text(path: Path, text: str) -> None:
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
-    os.chmod(partial, 0o644)
-    os.replace(partial, path)

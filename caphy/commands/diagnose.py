@@ -12,16 +12,20 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from caphy.commands.before_after import before_and_after
-from caphy.commands.compare import Progress, _write_text, load_model
+from caphy.commands.compare import Progress, load_model
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
-from caphy.io.places import writable_folder
+from caphy.io.places import writable_folder, write_text
 
 if TYPE_CHECKING:
     from caphy.diagnose.diagnosis import Diagnosis
     from caphy.effects.model import Model
     from caphy.io.measurements import Measurement
     from caphy.refit.crew import Crew
+
+
+PROOF = "before_after.html"
+"""Page of a diagnosis that shows the error fall on held-out measurements."""
 
 
 @dataclass(frozen=True)
@@ -111,17 +115,17 @@ def _diagnosed(command: Diagnose, model: Model, read: Sequence[Sequence[Measurem
 
 
 def write(diagnosis: Diagnosis, command: Diagnose, since: Model) -> None:
-    """Write the results and say them; ``since`` is the model that was diagnosed."""
+    """Say the results, and write them; ``since`` is the model that was diagnosed."""
     from caphy.diagnose.figures import figures, sentences, table
 
-    command.output.mkdir(parents=True, exist_ok=True)
-    told = figures(diagnosis)
-    _write_text(command.output / "diagnosis.json", json.dumps(told, indent=1, allow_nan=False))
-    _write_text(command.output / "model.json", _with_history(diagnosis, since, command).to_json())
     print("\n" + table(diagnosis) + "\n")
-    print("\n".join(sentences(diagnosis)))
+    print("\n".join(sentences(diagnosis)), flush=True)
+    told = figures(diagnosis)
+    (command.output / PROOF).unlink(missing_ok=True)  # an earlier run's would tell of another answer
+    write_text(command.output / "diagnosis.json", json.dumps(told, indent=1, allow_nan=False))
+    write_text(command.output / "model.json", _with_history(diagnosis, since, command).to_json())
     page = command.output / "diagnosis.html"
-    _write_text(page, _page(diagnosis, told, command))
+    write_text(page, _page(diagnosis, told, command))
     print(f"\n{command.output / 'diagnosis.json'}\n{command.output / 'model.json'}\n{page}")
     following = next_command(diagnosis.verdict, diagnosis.found, command)
     if following:
@@ -181,8 +185,8 @@ def _before_after(before: Model, after: Model, command: Diagnose, crew: Crew) ->
     proof = [read_measurement(command.held_out[0])]
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
-    page = command.output / "before_after.html"
-    _write_text(page, before_and_after(Path(command.model).stem, before, after, proof, crew, garment, body))
+    page = command.output / PROOF
+    write_text(page, before_and_after(Path(command.model).stem, before, after, proof, crew, garment, body))
     print(f"before and after, on measurements that nothing was fitted to: {page}")
 
 

@@ -54,8 +54,8 @@ def main(arguments: list[str]) -> None:
     from caphy.evaluate.evaluation import evaluate
     from caphy.evaluate.perceptual import Flip, Vgg16
     from caphy.evaluate.table import table_lines
+    from caphy.io.places import write_text
     from caphy.register.points import read_split
-    from caphy.register.result import write_text
     from caphy.scan.scan_set import ScanSet
 
     rows = _rows(command)

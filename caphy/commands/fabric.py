@@ -66,8 +66,8 @@ def main(arguments: list[str]) -> int:
 
 def _fitted(options: FabricCommand, kept: Kept) -> int:
     from caphy.evaluate.dressed import Subject
+    from caphy.io.places import write_text
     from caphy.register.points import read_points
-    from caphy.register.result import write_text
 
     base = _base(options)
     subject = Subject.read(options.run)
@@ -238,6 +238,6 @@ def _told(kind: str, found: dict[str, Any]) -> list[str]:
 
 def _write_page(path: Path, plots: dict[str, list[str]], sentences: dict[str, list[str]]) -> None:
     from caphy.fabric.curves import page
-    from caphy.register.result import write_text
+    from caphy.io.places import write_text
 
     write_text(path, page(plots, sentences))

@@ -23,7 +23,7 @@ CENTIMETRES = ("sleeve", "length", "leg", "rise", "ease", "sleeve_ease", "neck_w
 def write_report(run: Path) -> Path:
     """Write ``report.html`` from what the stages left in a run's folder."""
     import caphy
-    from caphy.register.result import write_text
+    from caphy.io.places import write_text
     from caphy.report.page.compose import fit_page
 
     source = read(run, CHECKED)["source"]

@@ -27,7 +27,7 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
     Raises:
         CaphyError: nothing can be used.
     """
-    from caphy.register.result import write_text
+    from caphy.io.places import write_text
     from caphy.scan.checks import check_set, usable
     from caphy.scan.scan_set import ScanSet
 
@@ -60,7 +60,7 @@ def segment_scans(run: Path, layout: str) -> None:
         CaphyError: no scan could be segmented, or none shows clothes.
     """
     from caphy.commands import segment
-    from caphy.register.result import write_text
+    from caphy.io.places import write_text
     from caphy.scan.checks import check_scan
     from caphy.scan.scan_set import ScanSet
 

@@ -180,8 +180,8 @@ def _split_unlike(plan: Plan) -> None:
 
     from caphy.evaluate.classes import unlike_split
     from caphy.garment.template import read_npz
+    from caphy.io.places import write_text
     from caphy.register.points import SPLIT
-    from caphy.register.result import write_text
 
     fit = read_npz(plan.run / "body.npz")
     split = unlike_split([str(name) for name in fit["names"]], fit["poses"])

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from caphy.commands.before_after import before_and_after
-from caphy.commands.compare import Progress, _write_text
+from caphy.commands.compare import Progress
 from caphy.commands.diagnose import physics_model, require_no_base
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
-from caphy.io.places import writable_file, writable_folder
+from caphy.io.places import writable_file, writable_folder, write_text
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
@@ -126,10 +126,10 @@ def _write(
         floor=None if held.floor_mm is None else held.floor_mm / 1e3,
     )
     command.output.parent.mkdir(parents=True, exist_ok=True)
-    _write_text(command.output, new.to_json())
+    write_text(command.output, new.to_json())
     page = command.output.with_suffix(".html")
     name = Path(command.model).stem
-    _write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
+    write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
     print(f"\n{command.output}\n{page}")
     files = "".join(f" --effect-file {file}" for file in command.effect_file)
     print(f"next: caphy train --init AVATAR --model {command.output}{files} ...   (the network learns it)")

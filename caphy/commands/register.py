@@ -186,7 +186,8 @@ def _pictured(fit: BodyFit, scans: ScanSet, command: Body) -> Path:
 
 def _garments(command: Garments) -> None:
     from caphy.effects.presets import fabric_model
-    from caphy.register.result import read_fit, write_text
+    from caphy.io.places import write_text
+    from caphy.register.result import read_fit
     from caphy.scan.scan_set import ScanSet
 
     body = load_body(command.body)

@@ -58,10 +58,10 @@ def main(arguments: list[str]) -> None:
     if command.fabric is not None and command.model is not None:
         raise CaphyError("--fabric and --model exclude each other; give one of them")
     with unfinished(command.out.with_suffix(f".{UNFINISHED}")) as kept:
-        _simulate(command, Kept(kept, command.effect_file))
+        _simulate(command, kept)
 
 
-def _simulate(command: Simulate, kept: Kept) -> None:
+def _simulate(command: Simulate, folder: Path) -> None:
     from tqdm import tqdm
 
     from caphy.commands.body import load_body
@@ -73,6 +73,7 @@ def _simulate(command: Simulate, kept: Kept) -> None:
     from caphy.solve.rollout import simulate
 
     garment, model, body = _garment(command.garment), _model(command), load_body(command.body)
+    kept = Kept(folder, command.effect_file)  # of effects that are registered by now
     poses = read_poses(command.poses).resample(command.fps)
     if command.seconds is not None:
         poses = poses[: round(command.seconds * command.fps) + 1]

@@ -87,6 +87,11 @@ def _lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _check_edges(vertices: np.ndarray, scene: Scene, where: str) -> None:
     length = _lengths(vertices, scene.garment.faces) / _lengths(scene.garment.vertices, scene.garment.faces)
+    if not np.isfinite(length).any():
+        raise CaphyError(
+            f"{where}: no edge of the cloth's mesh has both of its ends measured, so that its scale and the order of "
+            "its vertices cannot be checked; give a mesh of what was measured (sparse markers: their own, coarser one)"
+        )
     low, middle, high = np.nanquantile(length, (0.1, 0.5, 0.9))
     if high > _SPREAD * low:
         raise CaphyError(

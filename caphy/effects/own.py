@@ -6,24 +6,28 @@ from pathlib import Path
 
 import torch
 
-from caphy.effects.base import Step, companions
+from caphy.effects.base import Effect, Step, companions
+from caphy.effects.battery import gradient_is_slope, hessian_is_slope
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect, register_file
+from caphy.effects.sources import reading
 from caphy.effects.trial import DT, irregular_cloth, moment
 from caphy.errors import CaphyError, EffectFailed
 
 
 def use_file(path: Path) -> list[str]:
     """Register the effects of a user's file as :func:`caphy.effects.registry.register_file`, and try each of them on a
-    small cloth, shaken and at rest; returns their names.
+    small cloth, shaken and at rest; returns their names. What the file reads meanwhile counts as a part of it
+    (:func:`caphy.effects.sources.sources`).
 
     Raises:
-        CaphyError: one cannot be registered, fails, or is not finite there.
+        CaphyError: one cannot be registered, fails, is not finite there, or has derivatives that are not its energy's.
     """
-    names = register_file(path)
-    for name in names:
-        _try(name, path)
+    with reading(path):
+        names = register_file(path)
+        for name in names:
+            _try(name, path)
     return names
 
 
@@ -50,3 +54,18 @@ def _try(name: str, path: Path) -> None:
     for what, parts in told.items():
         if not all(bool(part.isfinite().all()) for part in parts):
             raise CaphyError(f"{where} must have a finite energy and gradient, but has none on {what}; {advice}")
+    _try_derivatives(effect, where, advice)
+
+
+def _try_derivatives(effect: Effect, where: str, advice: str) -> None:
+    """What is fitted follows the gradient, and what it is called by the energy: they must be of one effect."""
+    for check in (gradient_is_slope, hessian_is_slope):
+        if check.__name__ in effect.lacks:
+            continue
+        try:
+            check(effect.name)
+        except AssertionError as error:
+            raise CaphyError(
+                f"{where} must have a gradient and a Hessian, its own or those of a class that it inherits from, that "
+                f"are the derivatives of its energy: {error}; {advice}"
+            ) from error

@@ -23,6 +23,7 @@ from caphy.errors import CaphyError, EffectFailed
 
 _from_files: dict[str, type[Effect]] = {}
 _file_of: dict[str, Path] = {}
+_beside: set[Path] = set()  # folders of the files so far
 
 
 def _defined_in(module: ModuleType) -> list[type[Effect]]:
@@ -126,19 +127,25 @@ def _check_parameter(where: str, declared: Parameter) -> None:
 def register_file(path: Path) -> list[str]:
     """Register the effects that a user's Python file defines; returns their names.
 
-    As with a script, what lies beside the file can be imported.
+    As with a script, what lies beside the file can be imported. Raises :class:`CaphyError` where the file cannot be
+    taken, or lies beside modules of the same names as those of another effect file's folder.
     """
     spec = importlib.util.spec_from_file_location(f"caphy_effect_{path.stem}", path)
     if spec is None or spec.loader is None or not path.is_file():
         raise CaphyError(f"{path}: an effect file must be an existing .py file")
     module = importlib.util.module_from_spec(spec)
+    _require_own_modules(path)
     beside = str(path.resolve().parent)
-    if beside not in sys.path:
-        sys.path.append(beside)
+    sys.path.insert(0, beside)
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise CaphyError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(beside)
+        _beside.add(path.resolve().parent)
+        if beside not in sys.path:  # what is imported later, within functions
+            sys.path.append(beside)
     effects = _defined_in(module)
     if not effects:
         raise CaphyError(f"{path}: defines no subclass of caphy.effects.base.Effect with a name")
@@ -152,6 +159,19 @@ def register_file(path: Path) -> list[str]:
     _from_files.update({effect.name: effect for effect in effects})
     _file_of.update({effect.name: path for effect in effects})
     return [effect.name for effect in effects]
+
+
+def _require_own_modules(path: Path) -> None:
+    """Raises :class:`CaphyError` where ``import helper`` would give an effect file the helper of another one."""
+    folder = path.resolve().parent
+    for file in (*folder.glob("*.py"), *folder.glob("*/__init__.py")):
+        name = file.stem if file.parent == folder else file.parent.name
+        loaded = getattr(sys.modules.get(name), "__file__", None)
+        if loaded and Path(loaded).resolve() != file and _beside.intersection(Path(loaded).resolve().parents):
+            raise CaphyError(
+                f"{path}: beside it lies a module {name!r}, and another of that name is in use already, {loaded}, by "
+                "another effect file; give one of them another name"
+            )
 
 
 def _name_failures(effect: type[Effect], path: Path) -> None:

@@ -1,7 +1,9 @@
-"""Whether something can be written where a user wants it: asked before the work, not after it."""
+"""Whether something can be written where a user wants it, asked before the work; and texts written whole or not at
+all."""
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -13,6 +15,8 @@ def writable_file(path: Path) -> Path:
     path = Path(path)
     if path.is_dir():
         raise CaphyError(f"{path}: is a folder, and a file is to be written there; give the file's name too")
+    if path.exists() and not path.is_file():
+        raise CaphyError(f"{path}: must be a file, and is a device or the like, which would be replaced")
     _try(path, path.parent)
     return path
 
@@ -26,11 +30,29 @@ def writable_folder(path: Path) -> Path:
 
 def _try(path: Path, folder: Path) -> None:
     """Make a file that is removed at once: rights do not tell of full disks and /proc. Nothing is left behind."""
-    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    there = next(place for place in (folder, *folder.absolute().parents) if os.path.lexists(place))
     if not there.is_dir():
-        raise CaphyError(f"{path}: cannot be written, since {there} is a file; choose another place")
+        kind = "a file" if there.exists() else "a link to what is not there"
+        raise CaphyError(f"{path}: cannot be written, since {there} is {kind}; choose another place")
     try:
         with tempfile.TemporaryFile(dir=there):
             pass
     except OSError as error:
         raise CaphyError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all; its folder is made. Raises :class:`CaphyError` where that fails."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            os.chmod(partial, 0o644)
+            os.replace(partial, path)
+        except BaseException:
+            Path(partial).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise CaphyError(f"{path}: cannot be written ({error.strerror})") from error

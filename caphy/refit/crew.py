@@ -41,9 +41,10 @@ class Crew:
     def __init__(self, effect_files: Sequence[Path] = (), size: int | None = None, kept: Path | None = None) -> None:
         """``effect_files`` hold effects of the user's own, which every process must know. With a folder ``kept`` what
         the processes find is written there, and not worked out again by those of a later crew."""
+        found = Kept(kept, effect_files)
         size = cores() if size is None else size
         context = get_context("spawn")
-        self._each = [ProcessPoolExecutor(1, context, _begin, (tuple(effect_files), kept)) for _ in range(size)]
+        self._each = [ProcessPoolExecutor(1, context, _begin, (tuple(effect_files), found)) for _ in range(size)]
         self._studies = 0
         with one_thread_each():
             for each in self._each:
@@ -144,7 +145,7 @@ _PREDICTED: dict[int, tuple[tuple, list[Windows]]] = {}
 _kept = Kept()
 
 
-def _begin(effect_files: Sequence[Path], kept: Path | None) -> None:
+def _begin(effect_files: Sequence[Path], kept: Kept) -> None:
     import torch
 
     from caphy.effects.registry import register_file
@@ -154,7 +155,7 @@ def _begin(effect_files: Sequence[Path], kept: Path | None) -> None:
     torch.set_num_threads(1)
     for file in effect_files:
         register_file(file)
-    _kept = Kept(kept, effect_files)
+    _kept = kept
 
 
 def _bound(scene: Scene) -> tuple[Measurement, Garment, BodyModel | None]:

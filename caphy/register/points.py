@@ -13,10 +13,10 @@ import numpy as np
 from caphy.conventions import JOINT_COUNT
 from caphy.errors import CaphyError
 from caphy.garment.template import read_npz, write_npz
+from caphy.io.places import write_text
 from caphy.register.articulation import Placement
 from caphy.register.cloud import Cloud
 from caphy.register.fit import BodyFit, Progress, quiet
-from caphy.register.result import write_text
 from caphy.scan.scan import LABEL_NAMES
 from caphy.scan.scan_set import ScanSet
 

@@ -12,6 +12,7 @@ from caphy.body.model import BodyModel
 from caphy.conventions import JOINT_COUNT
 from caphy.errors import CaphyError
 from caphy.garment.template import read_npz, write_npz
+from caphy.io.places import write_text
 from caphy.register.articulation import Figure, Placement
 from caphy.register.fit import BodyFit, ScanFigures
 
@@ -71,11 +72,3 @@ def read_fit(path: Path, body: BodyModel) -> BodyFit:
         figures=tuple(ScanFigures(*row) for row in arrays["figures"].tolist()),
         failures={},
     )
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from caphy.effects.model import Model
+from caphy.io.places import write_text
 from caphy.tensile.diagnosis import CurveDiagnosis
 from caphy.tensile.errors import STAGES
 from caphy.tensile.fit import Fit
@@ -116,7 +115,7 @@ def write(
             texts[f"{_slug(fabric)}_first.json"] = _revised(first, since, note, data)
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in texts.items():
-        _write_text(folder / file, text)
+        write_text(folder / file, text)
     return [folder / file for file in texts]
 
 
@@ -126,11 +125,3 @@ def _revised(model: Model, since: Model | None, note: str, data: Sequence[str]) 
 
 def _slug(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name).strip("_").lower() or "cloth"
-
-
-def _write_text(path: Path, text: str) -> None:
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
-    os.chmod(partial, 0o644)
-    os.replace(partial, path)

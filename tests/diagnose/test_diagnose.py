@@ -207,6 +207,8 @@ def test_the_commands_write_what_they_say_and_go_on_where_they_were_stopped(tmp_
         told.extend(sorted(kept[0].iterdir()))
         write(*found)
 
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / commands.PROOF).write_text("of another answer")
     monkeypatch.setattr(commands, "write", stopped)
     assert main(words) == 130
     kept.append(tmp_path / "d" / "unfinished")
@@ -215,6 +217,7 @@ def test_the_commands_write_what_they_say_and_go_on_where_they_were_stopped(tmp_
     monkeypatch.setattr(commands, "write", going_on)
     assert main(words) == 0
     assert told == files and not kept[0].exists()  # nothing was found anew
+    assert not (tmp_path / "d" / commands.PROOF).exists()
     said = capsys.readouterr().out
     assert "going on from" in said
     assert "caphy refit" in said and "--add mass_damping" in said

@@ -17,8 +17,10 @@ from caphy.effects.own import use_file
 from caphy.effects.potential import Potential
 from caphy.effects.registry import register_file
 from caphy.effects.scaffold import write_scaffold
+from caphy.effects.sources import sources
 from caphy.effects.trial import irregular_cloth
 from caphy.errors import CaphyError, EffectFailed
+from caphy.kept import Kept
 
 ENERGY = '0.5 * e.dt * p["coefficient"] * e.rest["area"] * dot(slip, slip)'
 
@@ -129,3 +131,57 @@ def test_what_an_effect_never_rightly_lacks_is_not_advised(tmp_path, capsys):
     assert '"finite": "why"' not in capsys.readouterr().out
     assert main(["effects", "show"]) == 2
     assert "name the effects to show" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["gradient", "hessian"])
+def test_derivatives_of_something_else_are_refused(tmp_path, name):
+    """A class that inherits closed forms and changes the energy alone: what is fitted would not be what it says."""
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from caphy.effects.air_drag_normal import AirDragNormal\n"
+        "from caphy.effects.base import Effect\n\n\n"
+        "class Ten(AirDragNormal):\n"
+        '    """Ten times the drag, E = 10 dt c A / 2 (v.n)^2 [J] per face."""\n\n'
+        '    name = "ten_drag"\n\n'
+        "    def energy(self, e, p):\n        return 10 * super().energy(e, p)\n"
+        + ("\n    gradient = Effect.gradient\n" if name == "hessian" else "")
+    )
+    with pytest.raises(CaphyError, match=rf"mine\.py: ten_drag must have a gradient and a Hessian.*(?i:{name}) "):
+        use_file(path)
+    path.write_text(
+        path.read_text().replace("    def energy", f"    lacks = {{'{name}_is_slope': 'why'}}\n\n    def energy")
+    )
+    assert use_file(path) == ["ten_drag"]
+
+
+def test_a_helper_of_another_file_is_not_taken_for_ones_own(tmp_path):
+    for place, value in (("a", 1.0), ("b", 100.0)):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "helper_of_a_test.py").write_text(f"K = {value}\n")
+        path = _written(tmp_path / place / "mine.py", 'name = "my_wind"', f'name = "wind_{place}"')
+        path.write_text("from helper_of_a_test import K\n" + path.read_text().replace("0.5 * e.dt", "K * e.dt"))
+    assert use_file(tmp_path / "a" / "mine.py") == ["wind_a"]
+    with pytest.raises(CaphyError, match=r"b/mine\.py: beside it lies a module 'helper_of_a_test'.*a/helper_of_a_test"):
+        use_file(tmp_path / "b" / "mine.py")
+
+
+def test_what_an_effect_reads_is_a_part_of_it(tmp_path):
+    """A table, read late, and a package below; not what else lies there, nor what is written."""
+    (tmp_path / "package_of_a_test").mkdir()
+    for file in ("package_of_a_test/__init__.py", "package_of_a_test/factor.py", "other.txt", "deep.csv"):
+        (tmp_path / file).write_text("F = 1.0\n")
+    (tmp_path / "table.json").write_text("0.5")
+    path = _written(tmp_path / "mine.py", "cloth.vertex_area", "table() * cloth.vertex_area")
+    path.write_text(
+        "import json\nfrom pathlib import Path\n\nfrom package_of_a_test.factor import F\n\n\n"
+        "def table():\n    Path(__file__).with_name('log').write_text('here')\n"
+        "    return json.loads(Path(__file__).with_name('table.json').read_text())\n\n\n" + path.read_text()
+    )
+    use_file(path)
+    found = {str(file.relative_to(tmp_path.resolve())) for file in sources(path)}
+    assert found == {"mine.py", "table.json", "package_of_a_test/__init__.py", "package_of_a_test/factor.py"}
+    before = Kept(tmp_path / "kept", [path]).key("x")
+    (tmp_path / "other.txt").write_text("changed")
+    assert Kept(tmp_path / "kept", [path]).key("x") == before
+    (tmp_path / "table.json").write_text("0.7")
+    assert Kept(tmp_path / "kept", [path]).key("x") != before

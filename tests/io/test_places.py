@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from caphy.cli import main
 from caphy.errors import CaphyError
-from caphy.io.places import writable_file, writable_folder
+from caphy.io.places import writable_file, writable_folder, write_text
 
 
 def test_places_that_can_be_written(tmp_path):
@@ -25,6 +29,32 @@ def test_places_that_cannot(tmp_path):
             ask(tmp_path / "file" / "below")
     with pytest.raises(CaphyError, match="cannot be written"):
         writable_folder(tmp_path / "file")
+
+
+def test_devices_and_links_to_nothing_are_no_places(tmp_path):
+    with pytest.raises(CaphyError, match="/dev/null: must be a file, and is a device"):
+        writable_file(Path("/dev/null"))
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    for ask, place in ((writable_folder, "link"), (writable_file, "link/a.json")):
+        with pytest.raises(CaphyError, match="is a link to what is not there"):
+            ask(tmp_path / place)
+
+
+def test_a_text_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    write_text(tmp_path / "new" / "a.json", "first")
+    monkeypatch.setattr("os.replace", _full)
+    with pytest.raises(CaphyError, match=r"a\.json: cannot be written \(No space left on device\)"):
+        write_text(tmp_path / "new" / "a.json", "second")
+    assert [path.read_text() for path in (tmp_path / "new").iterdir()] == ["first"]
+
+
+def _full(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_an_argument_that_is_empty_is_no_place(capsys):
+    assert main(["compare", "snug", "walk.npz", "-o", ""]) == 2
+    assert "an argument is empty" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
