@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from caphy.effects.base import Effect, Step, companions
+from caphy.effects.base import Step, companions
 from caphy.effects.battery import gradient_is_slope, hessian_is_slope
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
@@ -54,17 +54,17 @@ def _try(name: str, path: Path) -> None:
     for what, parts in told.items():
         if not all(bool(part.isfinite().all()) for part in parts):
             raise CaphyError(f"{where} must have a finite energy and gradient, but has none on {what}; {advice}")
-    _try_derivatives(effect, where, advice)
+    _try_derivatives(name, where, advice)
 
 
-def _try_derivatives(effect: Effect, where: str, advice: str) -> None:
+def _try_derivatives(name: str, where: str, advice: str) -> None:
     """What is fitted follows the gradient, and what it is called by the energy: they must be of one effect."""
     for check in (gradient_is_slope, hessian_is_slope):
-        if check.__name__ in effect.lacks:
-            continue
         try:
-            check(effect.name)
-        except AssertionError as error:
+            check(name)
+        except CaphyError:
+            raise
+        except Exception as error:
             raise CaphyError(
                 f"{where} must have a gradient and a Hessian, its own or those of a class that it inherits from, that "
                 f"are the derivatives of its energy: {error}; {advice}"

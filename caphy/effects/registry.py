@@ -8,6 +8,7 @@ import inspect
 import pkgutil
 import sys
 from collections.abc import Callable, Mapping, Set
+from contextlib import suppress
 from functools import cache, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -142,7 +143,8 @@ def register_file(path: Path) -> list[str]:
     except (Exception, SystemExit) as error:
         raise CaphyError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
     finally:
-        sys.path.remove(beside)
+        with suppress(ValueError):  # the file itself may have put its paths right
+            sys.path.remove(beside)
         _beside.add(path.resolve().parent)
         if beside not in sys.path:  # what is imported later, within functions
             sys.path.append(beside)

@@ -23,7 +23,7 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        _under_way.remove(found)
+        _under_way.pop()
     imported = (getattr(sys.modules[name], "__file__", None) for name in set(sys.modules) - before)
     files = {Path(file).resolve() for file in (*found, *filter(None, imported))}
     _read.setdefault(path.resolve(), set()).update(file for file in files if _belongs(file, path.resolve().parent))

@@ -148,9 +148,7 @@ def test_derivatives_of_something_else_are_refused(tmp_path, name):
     )
     with pytest.raises(CaphyError, match=rf"mine\.py: ten_drag must have a gradient and a Hessian.*(?i:{name}) "):
         use_file(path)
-    path.write_text(
-        path.read_text().replace("    def energy", f"    lacks = {{'{name}_is_slope': 'why'}}\n\n    def energy")
-    )
+    path.write_text(path.read_text().replace("10 * super()", "super()"))
     assert use_file(path) == ["ten_drag"]
 
 
