@@ -149,6 +149,7 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     from caphy.body.model import BodyModel
     from caphy.garment.template import Garment
     from caphy.measure.comparison import compare
+    from caphy.measure.noise import overstated
     from caphy.measure.pace import slowed
     from caphy.measure.scene import Scene
     from caphy.refit.crew import Crew
@@ -157,7 +158,7 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
     scenes = [Scene.of(measurement, garment, body) for measurement in measured]
-    for note in filter(None, map(slowed, measured)):
+    for note in filter(None, (say(each) for say in (slowed, overstated) for each in measured)):
         print(f"Note: {note}.")
     found = []
     with Crew(command.effect_file, kept=kept) as crew:

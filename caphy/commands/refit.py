@@ -80,6 +80,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     from caphy.diagnose.checks import require_one_cloth
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
+    from caphy.measure.noise import overstated
     from caphy.measure.pace import slowed
     from caphy.refit.crew import Crew
     from caphy.refit.refit import addable, refit
@@ -92,7 +93,8 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
     require_one_cloth(fitted=measured, base=calm, held_out=proof)
-    for note in filter(None, map(slowed, (*measured, *calm, *proof))):
+    given = (*measured, *calm, *proof)
+    for note in filter(None, (say(each) for say in (slowed, overstated) for each in given)):
         print(f"Note: {note}.")
     with Crew(command.effect_file, kept=kept) as crew:
         with Progress("refit") as progress:

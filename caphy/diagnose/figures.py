@@ -118,7 +118,9 @@ def _answer(diagnosis: Diagnosis) -> str:
         for r in diagnosis.ranking[:3]
         for name, value in list(r.noticed.items())[:1]
     )
-    least = f"where {100 * diagnosis.needed:.1f} % are needed"
+    least = f"where {100 * best.needed:.1f} % are needed"
+    if best.gain >= best.needed:
+        least += ", and is not sure enough"
     if diagnosis.search.terms:  # accepted, and taken back
         least = "but does not hold, as the notes say"
     return (

@@ -54,6 +54,8 @@ _ROLLED = 0.05  # of the misfit: by how much one roll-out must be better than an
 _UNDECIDED = 0.01  # of the misfit: what a step must promise for another roll-out while the best is still looked for
 _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
 _FURTHER = 0.05  # of the misfit that is left: what a further effect must take away, or else prove on held-out windows
+_HEATS = 2  # steps of all explanations
+_BEHIND = 0.8  # of the best share by then: what an explanation must still hope for
 _HOPE = 2.0  # times its promise: what a fit that has not settled may still take away
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 
@@ -304,7 +306,7 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool, held_out: 
         chosen, fits = _told_by_tangents(study, found, near, shares)
     else:
         rounds = 1 if sure_of_parameters else ROUNDS
-        fits = {score.group.label: _fitted(study, found, score, rounds) for score in near}
+        fits = _raced(study, found, near, rounds)
         shares = {label: each.share for label, each in fits.items()}
         chosen = _simplest(near, shares, sure_of_parameters)
     label = chosen.group.label
@@ -343,6 +345,20 @@ def _more(last: Screen, best: Fit) -> float:
     """Share of the misfit that a fit takes away since the last screen."""
     since = changes(extended(last.model, best.columns), best.model, best.columns)
     return share_gone(_told(last, best.columns), best.evidence, since, from_the_end(best.columns, since))[0]
+
+
+def _raced(study: Study, found: Search, near: Sequence[Score], rounds: int) -> dict[str, Fit]:
+    """Explanations fitted in so many steps at most. After two of them one goes on only if it may still come near the
+    best: by more than it promises, since what is far off does not act linearly."""
+    last = found.screens[-1]
+    fits = {score.group.label: _fitted(study, found, score, min(rounds, _HEATS)) for score in near}
+    best = max(each.share for each in fits.values())
+    for label, each in fits.items():
+        hope = each.share + _HOPE * each.promise / last.misfit
+        if rounds > _HEATS and not each.converged and hope >= _BEHIND * best:
+            what, left = f"trying {label}", rounds - _HEATS
+            fits[label] = refined(study, each, last.variance, last.evidence.weight, what, left)
+    return fits
 
 
 def _told_by_tangents(
