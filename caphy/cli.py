@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import sys
+from types import FrameType
 from typing import NoReturn
 
 from caphy.errors import CaphyError
@@ -48,6 +49,8 @@ def usage() -> str:
 
 def command() -> NoReturn:
     """Run what the command line asks for, as a program."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _once)
     status = main()
     if status == INTERRUPTED:  # threads that write to processes which are gone would be waited for for ever
         if (util := sys.modules.get("multiprocessing.util")) is not None:
@@ -59,6 +62,12 @@ def command() -> NoReturn:
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
+
+
+def _once(number: int, frame: FrameType | None) -> NoReturn:
+    """End at the first Ctrl-C; further ones, as of the impatient and of ``timeout``, would break off the ending."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -82,7 +82,8 @@ from caphy.cli import command
 from caphy.refit.crew import Crew
 
 def main(arguments):
-    threading.Timer(0.3, os.killpg, (os.getpgrp(), signal.SIGINT)).start()
+    for after in map(float, sys.argv[2:]):
+        threading.Timer(after, os.killpg, (os.getpgrp(), signal.SIGINT)).start()
     with Crew(size=2) as crew:
         for each in crew._each:
             each.submit(len, bytes(20_000_000))  # more than a pipe holds
@@ -90,15 +91,19 @@ def main(arguments):
 
 if __name__ == "__main__":
     sys.modules["caphy.commands.compare"] = types.SimpleNamespace(main=main)
-    sys.argv = ["caphy", "compare"]
+    sys.argv[:1] = ["caphy", "compare"]
     command()
 """
 
 
-def test_ctrl_c_does_not_wait_for_what_is_written_to_processes_that_are_gone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("after", [("0.3",), ("0.3", "0.301", "0.32", "0.35")])
+def test_ctrl_c_does_not_wait_for_what_is_written_to_processes_that_are_gone(
+    tmp_path: Path, after: tuple[str, ...]
+) -> None:
+    """Nor does another one, of somebody who is impatient, break off the ending."""
     script = tmp_path / "parent.py"
     script.write_text(WRITING)
     ended = subprocess.run(
-        [*HEEDS, str(script)], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+        [*HEEDS, str(script), *after], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
     )
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
