@@ -76,7 +76,6 @@ def write(comparisons: Sequence[Comparison], curves: Sequence[dict], title: str,
     page = comparison_page(title, sections, facts, curves)
     figures = [comparison.figures for comparison in comparisons]
     document = {"schema": "caphy-comparison-1", **facts, "comparisons": figures, "force_curves": list(curves)}
-    command.output.mkdir(parents=True, exist_ok=True)
     written = {"compare.json": json.dumps(document, indent=1, allow_nan=False), "compare.html": page}
     for name, text in written.items():
         write_text(command.output / name, text)
@@ -149,8 +148,7 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     from caphy.body.model import BodyModel
     from caphy.garment.template import Garment
     from caphy.measure.comparison import compare
-    from caphy.measure.noise import overstated
-    from caphy.measure.pace import slowed
+    from caphy.measure.remarks import remarks
     from caphy.measure.scene import Scene
     from caphy.refit.crew import Crew
 
@@ -158,7 +156,7 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else BodyModel.load(command.body)
     scenes = [Scene.of(measurement, garment, body) for measurement in measured]
-    for note in filter(None, (say(each) for say in (slowed, overstated) for each in measured)):
+    for note in remarks(measured):
         print(f"Note: {note}.")
     found = []
     with Crew(command.effect_file, kept=kept) as crew:

@@ -80,8 +80,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     from caphy.diagnose.checks import require_one_cloth
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
-    from caphy.measure.noise import overstated
-    from caphy.measure.pace import slowed
+    from caphy.measure.remarks import remarks
     from caphy.refit.crew import Crew
     from caphy.refit.refit import addable, refit
 
@@ -93,8 +92,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
     require_one_cloth(fitted=measured, base=calm, held_out=proof)
-    given = (*measured, *calm, *proof)
-    for note in filter(None, (say(each) for say in (slowed, overstated) for each in given)):
+    for note in remarks((*measured, *calm, *proof)):
         print(f"Note: {note}.")
     with Crew(command.effect_file, kept=kept) as crew:
         with Progress("refit") as progress:
@@ -127,7 +125,6 @@ def _write(
         error_after=held.after_mm / 1e3,
         floor=None if held.floor_mm is None else held.floor_mm / 1e3,
     )
-    command.output.parent.mkdir(parents=True, exist_ok=True)
     write_text(command.output, new.to_json())
     page = command.output.with_suffix(".html")
     name = Path(command.model).stem

@@ -22,8 +22,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
-from caphy.measure.noise import overstated
-from caphy.measure.pace import slowed
+from caphy.measure.remarks import remarks
 from caphy.refit.again import fitted_again
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import Apart, HeldOut
@@ -170,9 +169,8 @@ def diagnose(
     settle_laws(study, found, apart)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     concluded = _concluded(found, study, start, known, apart, elsewhere)
-    given = (*measurements, *trusted, *held_out)
-    remarks = filter(None, [say(measurement) for say in (slowed, overstated) for measurement in given])
-    return replace(concluded, notes=(*concluded.notes, *remarks), seconds=time.perf_counter() - began)
+    notes = (*concluded.notes, *remarks((*measurements, *trusted, *held_out)))
+    return replace(concluded, notes=notes, seconds=time.perf_counter() - began)
 
 
 def _concluded(

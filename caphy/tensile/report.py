@@ -113,7 +113,6 @@ def write(
         if diagnosis.found_used:
             note = f"fitted to first loadings in tensile tests of {fabric}"
             texts[f"{_slug(fabric)}_first.json"] = _revised(first, since, note, data)
-    folder.mkdir(parents=True, exist_ok=True)
     for file, text in texts.items():
         write_text(folder / file, text)
     return [folder / file for file in texts]
