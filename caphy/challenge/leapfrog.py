@@ -8,21 +8,22 @@ that, friction and strain-rate damping, act at the end of each kick's interval, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from caphy.challenge.planes import ContactPlanes, MovingBody
-from caphy.challenge.rates import bending_rates, slowed
+from caphy.challenge.rates import bending_rates, drift, slowed
 from caphy.effects.base import BodyState, Effect, Step
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import Bound
+from caphy.effects.compiled import Arguments, Bound
 from caphy.effects.model import Model
-from caphy.effects.potential import Potential, kernel_of
+from caphy.effects.potential import Potential, Term, kernel_of
 from caphy.errors import CaphyError
 from caphy.solve.integrators import State
 
@@ -83,7 +84,9 @@ class Leapfrog:
         self.viscosity = whole.terms.pop(VISCOSITY, None)
         self.slow = _only(whole, lambda name, effect: not _is_stiff(effect) and name != BENDING)
         self.fast = _only(whole, lambda name, effect: _is_stiff(effect) and name != FRICTION)
-        self._loops = [*_elastic_loops(self.fast), *_damping_loops(whole)]
+        self._slow_loops = list(_elastic_loops(self.slow))
+        self._fast_loops = [*_elastic_loops(self.fast), *_damping_loops(whole)]
+        self._loops_on_body = list(_loops_on_body(self.fast))
         self.rate, self.kick_rate = self._stable_rate(), self._kick_rate()
 
     def hurried(self, factor: float) -> Leapfrog:
@@ -114,18 +117,17 @@ class Leapfrog:
         steps = int(np.ceil(self.rate * span))
         dt, path = span / steps, self._pin_path(now, end)
         now.v += 0.5 * span * self._inverse * now.slow
-        for _ in range(steps):
-            now.v += 0.5 * dt * self._inverse * now.fast
-            now.x += dt * now.v
+        for step in range(steps):
+            near = drift(now.x, now.v, now.fast, self._inverse, dt if step else 0.5 * dt, dt)
             now.time += dt
-            if not np.isfinite(now.x).all():
+            if not near:
                 raise FlewApart(
                     f"the cloth flew apart at {now.time:.2f} s; {self.rate:.0f} steps per second are too few"
                 )
             if self.drive.fixed is not None:
                 now.x[self.drive.fixed], now.v[self.drive.fixed] = path(now.time)
             self._feel_fast(now, dt, planes)
-            now.v += 0.5 * dt * self._inverse * now.fast
+        now.v += 0.5 * dt * self._inverse * now.fast
         now.time = end
         self._feel_slow(now, span, planes)
         now.v += 0.5 * span * self._inverse * now.slow
@@ -140,9 +142,7 @@ class Leapfrog:
         return lambda time: (last - (end - time) * speed, speed)
 
     def _feel_slow(self, now: _Now, span: float, planes: ContactPlanes) -> None:
-        now.slow = -self.slow.gradient(torch.from_numpy(now.x), explicit_step(now, span), self._body(now, planes))[
-            1
-        ].numpy()
+        now.slow = self._gentle(now, span, self._body(now, planes))
         if self.force is not None:
             now.slow += self.force(now.x, now.v, now.time)
 
@@ -152,13 +152,16 @@ class Leapfrog:
     def _body(self, now: _Now, planes: ContactPlanes) -> BodyState | None:
         return planes.at(now.time + self.drive.ahead, now.x, now.v)
 
+    def _gentle(self, now: _Now, span: float, body: BodyState | None) -> np.ndarray:
+        """Force (V, 3) [N] of the effects that are not stiff."""
+        return -_slope(now, self._slow_loops, self.slow, span, body)
+
     def _stiff(self, now: _Now, dt: float, body: BodyState | None) -> np.ndarray:
         """Force (V, 3) [N] of the stiff effects."""
-        slope = np.zeros_like(now.x)
-        for loop in self._loops:
-            loop(now.x, now.v, slope)
-        if self.fast.terms:
-            slope += self.fast.gradient(torch.from_numpy(now.x), explicit_step(now, dt), body)[1].numpy()
+        slope = _slope(now, self._fast_loops, self.fast, dt, body)
+        if body is not None:
+            for loop in self._loops_on_body:
+                loop(now.x, body, slope)
         return -slope
 
     def _soften(self, now: _Now, span: float, planes: ContactPlanes) -> None:
@@ -200,8 +203,7 @@ class Leapfrog:
         """Kicks per second [Hz] that all effects between them demand at rest, without what a body does."""
 
         def slow(x: np.ndarray, moved: np.ndarray) -> np.ndarray:
-            now = _Now(x, 0 * moved, 0.0)
-            return -self.slow.gradient(torch.from_numpy(x), explicit_step(now, 1 / RATE), None)[1].numpy()
+            return self._gentle(_Now(x, 0 * moved, 0.0), 1 / RATE, None)
 
         return max(RATE, np.sqrt(self._steepest(slow, rounds)) / TURN)
 
@@ -235,18 +237,50 @@ Loop = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 """Adds to a gradient (V, 3) [N] what positions (V, 3) and velocities (V, 3) call forth."""
 
 
+def _slope(now: _Now, loops: Sequence[Loop], others: Potential, dt: float, body: BodyState | None) -> np.ndarray:
+    """Gradient (V, 3) [N] of compiled effects and of the others, in a step of ``dt`` seconds."""
+    slope = np.zeros_like(now.x)
+    for loop in loops:
+        loop(now.x, now.v, slope)
+    if others.terms:
+        slope += others.gradient(torch.from_numpy(now.x), explicit_step(now, dt), body)[1].numpy()
+    return slope
+
+
 def _elastic_loops(potential: Potential) -> Iterator[Loop]:
     """The compiled effects of a potential that need neither history nor body, taken out of it."""
     for name, term in list(potential.terms.items()):
         bind = kernel_of(type(term.effect))
         if bind is None or term.effect.needs_step or term.effect.needs_body:
             continue
-        kernel, _, given = bind(Bound(term.index, term.rest, term.values, None, None))
-        constants = [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
+        kernel, _, constants = _bound(bind, term, None)
         del potential.terms[name]
         yield lambda x, v, slope, kernel=kernel, constants=constants: kernel(
             x[None], *constants, np.zeros(1), slope[None]
         )
+
+
+def _loops_on_body(potential: Potential) -> Iterator[Callable[[np.ndarray, BodyState, np.ndarray], None]]:
+    """The compiled effects of a potential that need the body and no history, taken out of it."""
+    anywhere = BodyState(*torch.zeros((4, 1, 3), dtype=torch.float64))
+    for name, term in list(potential.terms.items()):
+        bind = kernel_of(type(term.effect))
+        if bind is None or term.effect.needs_step or not term.effect.needs_body:
+            continue
+        kernel, fields, constants = _bound(bind, term, anywhere)
+        read = [each for field in fields for each, value in vars(anywhere).items() if value is field]
+        del potential.terms[name]
+        yield lambda x, body, slope, kernel=kernel, read=read, constants=constants: kernel(
+            x[None], *(getattr(body, each).numpy()[None] for each in read), *constants, np.zeros(1), slope[None]
+        )
+
+
+def _bound(
+    bind: Callable[[Bound], Arguments], term: Term, body: BodyState | None
+) -> tuple[Callable, tuple[Tensor, ...], list[Any]]:
+    """A kernel, the fields that it reads, and its constants."""
+    kernel, fields, given = bind(Bound(term.index, term.rest, term.values, None, body))
+    return kernel, fields, [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
 
 
 def _damping_loops(potential: Potential) -> Iterator[Loop]:

@@ -58,7 +58,7 @@ class ContactPlanes:
     def __init__(self, body: MovingBody | None, time: float) -> None:
         """``time`` [s] is when the simulation begins."""
         self.body, self._until = body, time
-        self._end: BodyState | None = None
+        self._end: tuple[np.ndarray, ...] | None = None
         self._faces: np.ndarray | None = None
 
     def at(self, time: float, x: np.ndarray, v: np.ndarray) -> BodyState | None:
@@ -68,17 +68,16 @@ class ContactPlanes:
         if self._end is None or time >= self._until - 1e-9:
             self._end = self._look(self.body, time, x, v)
         left = self._until - time
-        end = self._end
-        anchor = end.anchor + (left / INTERVAL) * (self._anchor - end.anchor)
-        return BodyState(end.point - left * end.velocity, end.normal, end.velocity, anchor)
+        point, normal, velocity, anchor = self._end
+        earlier = anchor + (left / INTERVAL) * (self._anchor - anchor)
+        return BodyState(*map(torch.from_numpy, (point - left * velocity, normal, velocity, earlier)))
 
-    def _look(self, body: MovingBody, time: float, x: np.ndarray, v: np.ndarray) -> BodyState:
+    def _look(self, body: MovingBody, time: float, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
         self._until = time + INTERVAL
         now, before = body.at(self._until), body.at(time)
         found = body.surface.nearest(x + INTERVAL * v, now, self._faces)
         self._faces = found.face
         corners = body.faces[found.face]
         velocity = np.einsum("vk,vkc->vc", found.barycentric, (now - before)[corners]) / INTERVAL
-        self._anchor = torch.from_numpy(body.anchors_at(time, x))
-        fields = found.point, found.normal, velocity, body.anchors_at(self._until, x)
-        return BodyState(*map(torch.from_numpy, fields))
+        self._anchor = body.anchors_at(time, x)
+        return found.point, found.normal, velocity, body.anchors_at(self._until, x)

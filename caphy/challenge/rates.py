@@ -1,4 +1,4 @@
-"""Internal damping from velocities, compiled: an explicit step asks for it far too often for anything slower.
+"""Short steps and internal damping from velocities, compiled: they come far too often for anything slower.
 
 The effects state damping by the change over a step; these are the same laws in the limit of no step at all, written
 in the rates of angle and strain themselves.
@@ -14,7 +14,23 @@ import numpy as np
 COLLAPSED = 1e-13
 """Four times the squared area [m^4] below which a triangle counts as collapsed: a thousandth of the usual area."""
 
+FAR = 1e6
+"""Metres beyond which no cloth is. (``isfinite`` is always true under ``reassoc``, which takes x - x for zero.)"""
+
 _compiled = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
+
+
+@_compiled
+def drift(x, v, force, inverse, kick, dt):
+    """Velocities v (V, 3) after a force over a time ``kick`` [s], and positions x (V, 3) a time dt [s] later; tells
+    whether all are numbers, and nearer than :data:`FAR`."""
+    near = True
+    for a in range(len(x)):
+        for k in range(3):
+            v[a, k] += kick * inverse[a, 0] * force[a, k]
+            x[a, k] += dt * v[a, k]
+            near &= abs(x[a, k]) < FAR
+    return near
 
 
 @_compiled

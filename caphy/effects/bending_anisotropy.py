@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.bending import Bending
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import Hinge
+from caphy.effects.hinge import Hinge, turn
 
 
 class BendingAnisotropy(Hinge):
@@ -29,5 +31,9 @@ class BendingAnisotropy(Hinge):
         return Bending().rest(cloth)
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
-        turn = angle - e.rest["angle"]
-        return p["difference"] * (e.rest["weft"] - e.rest["warp"]) * turn * turn
+        return uneven_stiffness(e.rest, p) * turn(angle, e.rest["angle"]) ** 2
+
+
+def uneven_stiffness(rest: Mapping[str, Tensor], p: Values) -> Tensor:
+    """Energy per squared angle (n,) [J]."""
+    return p["difference"] * (rest["weft"] - rest["warp"])

@@ -113,12 +113,13 @@ def hinge(x, index, length, area, moment, stiffness, slots, blocks):
 
 @_compiled
 def bending(x, index, stiffness, rest_angle, length, area, projection, slots, blocks):
-    """Add hinges of effects.bending."""
+    """Add hinges of effects.bending, and of effects that make some of them less stiff."""
     slope = np.empty((4, 3))
     for i in range(index.shape[0]):
         found = _hinge(x, 0, index, i)
         moment = 2.0 * (1.0 - projection) * stiffness[i] * _turn(found[5], rest_angle[i])
-        _add_hinge(found, length[i], area[i], moment, 2.0 * stiffness[i], slope, slots[i], blocks)
+        stiff = 2.0 * (stiffness[i] if stiffness[i] > 0.0 else (1.0 - projection) * stiffness[i])
+        _add_hinge(found, length[i], area[i], moment, stiff, slope, slots[i], blocks)
 
 
 @_compiled

@@ -16,8 +16,10 @@ from caphy.effects import block_kernels
 from caphy.effects.attachment import Attachment
 from caphy.effects.base import BodyState, Effect, Elements, Step
 from caphy.effects.bending import Bending
+from caphy.effects.bending_anisotropy import BendingAnisotropy
 from caphy.effects.bending_damping import BendingDamping
 from caphy.effects.body_contact import BodyContact
+from caphy.effects.extra_bending import ExtraBending
 from caphy.effects.gravity import Gravity
 from caphy.effects.hinge import Hinge
 from caphy.effects.inertia import Inertia
@@ -28,6 +30,8 @@ from caphy.effects.strain_stvk import StrainStVK
 COMPILED: Mapping[type[Effect], Callable | None] = {
     StrainStVK: block_kernels.strain_stvk,
     Bending: block_kernels.bending,
+    ExtraBending: block_kernels.bending,
+    BendingAnisotropy: block_kernels.bending,
     BendingDamping: block_kernels.bending_damping,
     Inertia: block_kernels.spring,
     Attachment: block_kernels.spring,

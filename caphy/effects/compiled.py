@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -16,9 +16,11 @@ from caphy.effects import kernels
 from caphy.effects.attachment import Attachment
 from caphy.effects.base import BodyState, Effect, Step, Values
 from caphy.effects.bending import Bending, bending_stiffness
+from caphy.effects.bending_anisotropy import BendingAnisotropy, uneven_stiffness
 from caphy.effects.bending_damping import BendingDamping, damping_stiffness
 from caphy.effects.bending_measured import BendingMeasured, stiffness_nodes
 from caphy.effects.body_contact import BodyContact
+from caphy.effects.extra_bending import ExtraBending, extra_stiffness
 from caphy.effects.gravity import Gravity
 from caphy.effects.inertia import Inertia
 from caphy.effects.strain_measured import StrainMeasured, directed
@@ -50,9 +52,9 @@ def _strain_measured(b: Bound) -> Arguments:
     return kernels.strain_measured, (), (b.index, b.rest["hat"], b.rest["area"], table[0], directed(table))
 
 
-def _bending(b: Bound) -> Arguments:
+def _hinges(stiffness: Callable[[Mapping[str, Tensor], Values], Tensor], b: Bound) -> Arguments:
     rest = b.rest["angle"], b.rest["length"], b.rest["area"]
-    return kernels.bending, (), (b.index, bending_stiffness(b.rest, b.values), *rest)
+    return kernels.bending, (), (b.index, stiffness(b.rest, b.values), *rest)
 
 
 def _bending_damping(b: Bound) -> Arguments:
@@ -89,7 +91,9 @@ def _body_contact(b: Bound) -> Arguments:
 KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments]] = {
     StrainStVK: _strain_stvk,
     StrainMeasured: _strain_measured,
-    Bending: _bending,
+    Bending: partial(_hinges, bending_stiffness),
+    ExtraBending: partial(_hinges, extra_stiffness),
+    BendingAnisotropy: partial(_hinges, uneven_stiffness),
     BendingDamping: _bending_damping,
     BendingMeasured: _bending_measured,
     Gravity: _gravity,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.hinge import Hinge
+from caphy.effects.hinge import Hinge, turn
 
 
 class ExtraBending(Hinge):
@@ -21,5 +23,9 @@ class ExtraBending(Hinge):
     reference = "CaPhy eq. 8; Grinspun et al., Discrete shells, SCA 2003"
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
-        turn = angle - e.rest["angle"]
-        return p["stiffness"] * e.rest["length"] ** 2 / (8 * e.rest["area"]) * turn * turn
+        return extra_stiffness(e.rest, p) * turn(angle, e.rest["angle"]) ** 2
+
+
+def extra_stiffness(rest: Mapping[str, Tensor], p: Values) -> Tensor:
+    """Energy per squared angle (n,) [J]."""
+    return p["stiffness"] * rest["length"] ** 2 / (8 * rest["area"])
