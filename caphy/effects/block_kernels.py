@@ -11,7 +11,19 @@ from math import sqrt
 import numpy as np
 
 from caphy.effects.hinge import COLLAPSED
-from caphy.effects.kernels import _compiled, _cross, _deformation, _dot, _hinge, _minus, _turn, _vertex
+from caphy.effects.kernels import (
+    _compiled,
+    _cross,
+    _deformation,
+    _dot,
+    _hinge,
+    _minus,
+    _turn,
+    _vertex,
+    projected,
+    unit_normal,
+    velocity_of_face,
+)
 
 
 @_compiled
@@ -229,3 +241,27 @@ def body_contact(x, point, normal, index, area, layer, stiffness, distance, proj
         for p in range(3):
             for q in range(3):
                 blocks[slots[i, 0, 0], p, q] += slope * away[p] * away[q]
+
+
+@_compiled
+def air(x, origin, lagged, index, area, dt, across, power, drag, wind, push, projection, slots, blocks):
+    """Add faces of effects.air with a drag law; the same between all pairs of corners."""
+    if power == 0:
+        return
+    blown = (wind[0], wind[1], wind[2])
+    for i in range(index.shape[0]):
+        normal = unit_normal(lagged, 0, index, i)
+        slip = projected(_minus(velocity_of_face(x, origin, 0, index, i, dt), blown), normal, across)
+        speed = max(sqrt(_dot(slip, slip)), 1e-12)
+        growth = area[i] / (9.0 * dt) * drag * (speed if power == 2 else 1.0)
+        steeper = (power - 1.0) / (speed * speed)
+        for p in range(3):
+            for q in range(3):
+                plane = normal[p] * normal[q]
+                if not across:
+                    plane = (1.0 if p == q else 0.0) - plane
+                entry = growth * (plane + steeper * slip[p] * slip[q])
+                for a in range(3):
+                    for b in range(3):
+                        if slots[i, a, b] >= 0:
+                            blocks[slots[i, a, b], p, q] += entry

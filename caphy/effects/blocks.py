@@ -19,8 +19,10 @@ from caphy.effects.bending import Bending
 from caphy.effects.bending_anisotropy import BendingAnisotropy
 from caphy.effects.bending_damping import BendingDamping
 from caphy.effects.body_contact import BodyContact
+from caphy.effects.compiled import DRAGS_AND_WINDS
 from caphy.effects.extra_bending import ExtraBending
 from caphy.effects.gravity import Gravity
+from caphy.effects.gust import Gust
 from caphy.effects.hinge import Hinge
 from caphy.effects.inertia import Inertia
 from caphy.effects.membrane import Deformation, Membrane
@@ -36,6 +38,8 @@ COMPILED: Mapping[type[Effect], Callable | None] = {
     Inertia: block_kernels.spring,
     Attachment: block_kernels.spring,
     BodyContact: block_kernels.body_contact,
+    **dict.fromkeys(DRAGS_AND_WINDS, block_kernels.air),
+    Gust: None,
     Gravity: None,
 }
 """Loops that add the Hessians of effects, called with what :data:`caphy.effects.potential.kernel_of` says; None where

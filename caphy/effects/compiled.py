@@ -13,6 +13,11 @@ import torch
 from torch import Tensor
 
 from caphy.effects import kernels
+from caphy.effects.air import Air
+from caphy.effects.air_drag_normal import AirDragNormal
+from caphy.effects.air_drag_normal_quadratic import AirDragNormalQuadratic
+from caphy.effects.air_drag_tangential import AirDragTangential
+from caphy.effects.air_drag_tangential_quadratic import AirDragTangentialQuadratic
 from caphy.effects.attachment import Attachment
 from caphy.effects.base import BodyState, Effect, Step, Values
 from caphy.effects.bending import Bending, bending_stiffness
@@ -22,9 +27,14 @@ from caphy.effects.bending_measured import BendingMeasured, stiffness_nodes
 from caphy.effects.body_contact import BodyContact
 from caphy.effects.extra_bending import ExtraBending, extra_stiffness
 from caphy.effects.gravity import Gravity
+from caphy.effects.gust import Gust, swung
 from caphy.effects.inertia import Inertia
 from caphy.effects.strain_measured import StrainMeasured, directed
 from caphy.effects.strain_stvk import StrainStVK
+from caphy.effects.wind_normal import WindNormal
+from caphy.effects.wind_normal_quadratic import WindNormalQuadratic
+from caphy.effects.wind_tangential import WindTangential
+from caphy.effects.wind_tangential_quadratic import WindTangentialQuadratic
 
 
 @dataclass(frozen=True)
@@ -40,6 +50,18 @@ class Bound:
 
 Arguments = tuple[Callable, tuple[Tensor, ...], tuple[Tensor | float, ...]]
 """A kernel, the vertex fields (..., V, 3) it reads besides the positions, and its constants."""
+
+DRAGS_AND_WINDS: tuple[type[Air], ...] = (
+    AirDragNormal,
+    AirDragNormalQuadratic,
+    AirDragTangential,
+    AirDragTangentialQuadratic,
+    WindNormal,
+    WindNormalQuadratic,
+    WindTangential,
+    WindTangentialQuadratic,
+)
+"""Effects of air by a uniform velocity or push of theirs, or none."""
 
 
 def _strain_stvk(b: Bound) -> Arguments:
@@ -88,7 +110,28 @@ def _body_contact(b: Bound) -> Arguments:
     return kernels.body_contact, (b.body.point, b.body.normal), (b.index, *constants)
 
 
-KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments]] = {
+def _air(effect: type[Air], b: Bound, wind: Tensor | None = None, push: Tensor | None = None) -> Arguments:
+    """An effect of air whose wind [m/s] and push [Pa] are the same everywhere."""
+    assert b.step is not None
+    drag = float(b.values["coefficient"]) if effect.power else 0.0
+    fields = (
+        torch.zeros(3, dtype=torch.float64) if field is None else field.to(torch.float64) for field in (wind, push)
+    )
+    constants = b.index, b.rest["area"], float(b.step.dt), effect.across, effect.power, drag, *fields
+    return kernels.air, (b.step.origin, b.step.lagged), constants
+
+
+def _wind(effect: type[Air], b: Bound) -> Arguments:
+    return _air(effect, b, wind=b.values.get("velocity"), push=b.values.get("push"))
+
+
+def _gust(b: Bound) -> Arguments | None:
+    if b.step is None or isinstance(b.step.time, Tensor):
+        return None  # frames of many times have many pushes
+    return _air(Gust, b, push=swung(b.values, b.step.time))
+
+
+KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments | None]] = {
     StrainStVK: _strain_stvk,
     StrainMeasured: _strain_measured,
     Bending: partial(_hinges, bending_stiffness),
@@ -100,8 +143,11 @@ KERNELS: Mapping[type[Effect], Callable[[Bound], Arguments]] = {
     Inertia: _inertia,
     BodyContact: _body_contact,
     Attachment: _attachment,
+    **{effect: partial(_wind, effect) for effect in DRAGS_AND_WINDS},
+    Gust: _gust,
 }
-"""The effects that have a kernel; :func:`caphy.effects.potential.kernel_of` asks whether it still is theirs."""
+"""The effects that have a kernel, and what it is called with, or None where it does not hold;
+:func:`caphy.effects.potential.kernel_of` asks whether it still is theirs."""
 
 
 @dataclass(frozen=True)

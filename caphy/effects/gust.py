@@ -35,6 +35,10 @@ class Gust(Air):
 
     def push(self, e: Elements, p: Values) -> Tensor:
         assert e.time is not None
-        phase = 2 * pi * p["frequency"] * torch.as_tensor(e.time)
-        like = e.x[0]
-        return uniform(p["cosine"], like) * torch.cos(phase) + uniform(p["sine"], like) * torch.sin(phase)
+        return swung({**p, **{name: uniform(p[name], e.x[0]) for name in ("cosine", "sine")}}, e.time)
+
+
+def swung(p: Values, time: float | Tensor) -> Tensor:
+    """The push [Pa] at a time [s], in the shape of its amplitudes."""
+    phase = 2 * pi * p["frequency"] * torch.as_tensor(time)
+    return p["cosine"] * torch.cos(phase) + p["sine"] * torch.sin(phase)

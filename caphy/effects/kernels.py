@@ -301,3 +301,50 @@ def body_contact(x, point, normal, index, area, layer, stiffness, distance, ener
                 total += push * (3.0 * depth - 2.0 * shallow)
                 _add(gradient, t, a, _blend(-3.0 * push, away, 0.0, away))
         energy[t] += total
+
+
+@_compiled
+def unit_normal(x, t, index, i):
+    """As area_vector of effects.air, scaled to one; zero without area."""
+    origin = _vertex(x, t, index[i, 0])
+    across = _cross(_minus(_vertex(x, t, index[i, 1]), origin), _minus(_vertex(x, t, index[i, 2]), origin))
+    return _blend(1.0 / max(sqrt(_dot(across, across)), 1e-12), across, 0.0, across)
+
+
+@_compiled
+def velocity_of_face(x, origin, t, index, i, dt):
+    """Mean velocity of a face's corners."""
+    total = _minus(_vertex(x, t, index[i, 0]), _vertex(origin, t, index[i, 0]))
+    for k in range(1, 3):
+        moved = _minus(_vertex(x, t, index[i, k]), _vertex(origin, t, index[i, k]))
+        total = _blend(1.0, total, 1.0, moved)
+    return _blend(1.0 / (3.0 * dt), total, 0.0, total)
+
+
+@_compiled
+def projected(field, normal, across):
+    """The part of a vector across a face, or along it."""
+    part = _blend(_dot(field, normal), normal, 0.0, normal)
+    return part if across else _minus(field, part)
+
+
+@_compiled
+def air(x, origin, lagged, index, area, dt, across, power, drag, wind, push, energy, gradient):
+    blown, pushed = (wind[0], wind[1], wind[2]), (push[0], push[1], push[2])
+    for t in range(x.shape[0]):
+        total = 0.0
+        for i in range(index.shape[0]):
+            normal, velocity = unit_normal(lagged, t, index, i), velocity_of_face(x, origin, t, index, i, dt)
+            density, force = 0.0, (0.0, 0.0, 0.0)
+            if power > 0:
+                slip = projected(_minus(velocity, blown), normal, across)
+                speed = max(sqrt(_dot(slip, slip)), 1e-12)
+                growth = drag * (speed if power == 2 else 1.0)
+                density, force = growth * speed * speed / (power + 1.0), _blend(growth, slip, 0.0, slip)
+            density -= _dot(pushed, projected(velocity, normal, across))
+            force = _minus(force, projected(pushed, normal, across))
+            total += dt * area[i] * density
+            share = _blend(area[i] / 3.0, force, 0.0, force)
+            for k in range(3):
+                _add(gradient, t, index[i, k], share)
+        energy[t] += total

@@ -197,15 +197,20 @@ class Potential:
     def _summed(self, x: Tensor, step: Step | None, body: BodyState | None) -> tuple[Tensor, Tensor]:
         energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
         for _, term in self.present(step, body):
-            loop = self.loop(term, x, step, body) if x.device.type == "cpu" else None
-            if loop is not None:
-                accumulate(loop, x, energy, gradient)
-                continue
-            elements = self.elements(term, x, step, body)
-            values, forces = term.effect.gradient(elements, term.values)
-            energy += values.sum(-1)
-            gradient += term.scatter(forces).movedim(0, -1)
+            self._add(term, x, step, body, energy, gradient)
         return energy, gradient
+
+    def _add(
+        self, term: Term, x: Tensor, step: Step | None, body: BodyState | None, energy: Tensor, gradient: Tensor
+    ) -> None:
+        loop = self.loop(term, x, step, body) if x.device.type == "cpu" else None
+        if loop is not None:
+            accumulate(loop, x, energy, gradient)
+            return
+        elements = self.elements(term, x, step, body)
+        values, forces = term.effect.gradient(elements, term.values)
+        energy += values.sum(-1)
+        gradient += term.scatter(forces).movedim(0, -1)
 
     def loop(self, term: Term, x: Tensor, step: Step | None, body: BodyState | None) -> Loop | None:
         """The kernel of a term at positions like x (..., V, 3) with all that it reads; None where it has none."""
@@ -217,7 +222,9 @@ class Potential:
         kept = self._loops.get(term.effect.name)
         if kept is not None and x.dim() == 2 and all(old is new for old, new in zip(kept[0], told, strict=True)):
             return kept[1]
-        loop = Loop.of(kernel(Bound(term.index, term.rest, term.values, *told[1:])), x)
+        if (arguments := kernel(Bound(term.index, term.rest, term.values, *told[1:]))) is None:
+            return None
+        loop = Loop.of(arguments, x)
         if x.dim() == 2:  # batches of frames take room, and come once
             self._loops[term.effect.name] = told, loop
         return loop
@@ -229,6 +236,14 @@ class Potential:
             name: term.scatter(term.effect.gradient(elements, term.values)[1]).movedim(0, -1)
             for name, term, elements in self.acting(x.detach(), step, body)
         }
+
+    def term_gradient(self, name: str, x: Tensor, step: Step | None, body: BodyState | None) -> Tensor:
+        """Gradient of one effect's energy [N] at positions (..., V, 3) [m]."""
+        self._check(x)
+        x = x.detach().contiguous()
+        energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
+        self._add(self.terms[name], x, step, body, energy, gradient)
+        return gradient
 
     def parameter_gradients(
         self,
@@ -309,7 +324,7 @@ class _Loss(torch.autograd.Function):
 
 
 @cache
-def kernel_of(effect: type[Effect]) -> Callable[[Bound], Arguments] | None:
+def kernel_of(effect: type[Effect]) -> Callable[[Bound], Arguments | None] | None:
     """The kernel of an effect; None where there is none or where the effect's file says something else by now.
 
     The file of an effect rules. Whoever changes its formula gets what the formula says, more slowly, until the kernel
@@ -319,13 +334,14 @@ def kernel_of(effect: type[Effect]) -> Callable[[Bound], Arguments] | None:
     return kernel if kernel is not None and _same(effect.name, kernel) else None
 
 
-def _same(name: str, kernel: Callable[[Bound], Arguments]) -> bool:
+def _same(name: str, kernel: Callable[[Bound], Arguments | None]) -> bool:
     """Whether a kernel computes what an effect does, tried on a small shaken cloth."""
     cloth = irregular_cloth()
     at, potential = moment(cloth), Potential(Model(cloth.density, {name: {}}), cloth)
     ((_, term, elements),) = potential.acting(at.x, at.step, at.body)
     energy, gradient = at.x.new_zeros(()), torch.zeros_like(at.x)
     arguments = kernel(Bound(term.index, term.rest, term.values, at.step, at.body))
+    assert arguments is not None, f"the kernel of {name} must hold in a single frame"
     accumulate(Loop.of(arguments, at.x), at.x, energy, gradient)
     of_each, forces = term.effect.gradient(elements, term.values)
     wanted = term.scatter(forces).movedim(0, -1)

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from caphy.effects.base import HISTORY, BodyState, Elements, Step
 from caphy.effects.inertia import Inertia
-from caphy.effects.potential import Potential, Term, planes
+from caphy.effects.potential import Potential, Term
 from caphy.measure.mesh_body import MeshBody
 from caphy.measure.scene import Scene
 from caphy.refit.columns import Column, forces
@@ -31,7 +31,7 @@ from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
 
 _NUDGE = 1e-9  # metres by which a history is moved to see what it does: friction bends within 1e-6
-_FEW = 12  # columns up to which differences along each cost less than a matrix
+_FEW = 48  # columns up to which differences along each cost less than a matrix
 
 
 Pushes = Callable[[Tensor, Step, BodyState | None], Tensor]
@@ -131,11 +131,12 @@ class Tangents:
 
     def _of_history(self, stage: Stage, change: Step) -> Tensor:
         """Change of the model's gradient (K, V, 3) with the step's history."""
-        total = torch.zeros_like(change.target)
-        for name, term, elements in self.newton.potential.acting(stage.x, stage.step, stage.body):
+        total, potential = torch.zeros_like(change.target), self.newton.potential
+        for name, term in potential.present(stage.step, stage.body):
             if isinstance(term.effect, Inertia):
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
             elif (term.effect.needs_step or term.effect.reads_step) and len(total) > _FEW:
+                elements = potential.elements(term, stage.x, stage.step, stage.body)
                 if name not in self._read:
                     self._read[name] = _read(term, elements)
                 for field in self._read[name]:
@@ -143,7 +144,7 @@ class Tangents:
                     matrix = _history_matrix(term, elements, field, len(stage.x))
                     total += torch.from_numpy((matrix @ by.T).T).reshape(total.shape)
             elif term.effect.needs_step or term.effect.reads_step:
-                total += _along_history(term, elements, change)
+                total += _along_history(potential, name, stage, change)
         return total
 
     def _pushes(self, stages: Sequence[Stage]) -> list[Tensor]:
@@ -177,22 +178,29 @@ def _read(term: Term, e: Elements) -> tuple[str, ...]:
     return tuple(field for field in HISTORY if field in asked)
 
 
-def _nudge(e: Elements, field: str) -> float:
-    assert e.dt is not None
-    return _NUDGE / e.dt if field == "lagged_velocity" else _NUDGE
+def _nudge(dt: float, field: str) -> float:
+    return _NUDGE / dt if field == "lagged_velocity" else _NUDGE
 
 
-def _along_history(term: Term, e: Elements, change: Step) -> Tensor:
+def _along_history(potential: Potential, name: str, stage: Stage, change: Step) -> Tensor:
     """What K changes of the history do to one effect's gradient (K, V, 3), by differences along each of them."""
     by = {field: getattr(change, field) for field in HISTORY}  # (K, V, 3)
-    nudges = torch.stack([value.abs().amax((1, 2)) / _nudge(e, field) for field, value in by.items()]).amax(0)
-    nudges = torch.where(nudges > 0, nudges, 1.0)[:, None]  # how many of them each change is
-    fields = {field: getattr(e, field)[:, :, None] + term.gather(planes(v)) / nudges for field, v in by.items()}
-    body = None if e.body is None else {key: value[:, None] for key, value in e.body.items()}
-    pressed = None if e.pressed is None else e.pressed[:, :, None].expand_as(fields["origin"])
-    wide = replace(e, x=e.x[:, :, None].expand_as(fields["origin"]), body=body, pressed=pressed, **fields)
-    here, after = (term.effect.gradient(each, term.values)[1] for each in (e, wide))
-    return term.scatter((after - here[:, :, None]) * nudges).movedim(0, -1)
+    nudges = torch.stack([value.abs().amax((1, 2)) / _nudge(stage.step.dt, field) for field, value in by.items()])
+    nudges = nudges.amax(0)
+    nudges = torch.where(nudges > 0, nudges, 1.0)[:, None, None]  # how many of them each change is
+    wide = stage.x.expand(len(nudges) + 1, *stage.x.shape)  # the last is not nudged
+    fields = {
+        field: torch.cat([getattr(stage.step, field) + value / nudges, getattr(stage.step, field)[None]])
+        for field, value in by.items()
+    }
+    step = Step(stage.step.dt, **fields, time=stage.step.time, pressed=_expanded(stage.step.pressed, wide))
+    body = None if stage.body is None else stage.body.map(lambda field: field.expand(wide.shape))
+    found = potential.term_gradient(name, wide, step, body)
+    return (found[:-1] - found[-1]) * nudges
+
+
+def _expanded(field: Tensor | None, like: Tensor) -> Tensor | None:
+    return None if field is None else field.expand(like.shape)
 
 
 def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_array:
@@ -206,7 +214,8 @@ def _history_matrix(term: Term, e: Elements, field: str, count: int) -> csr_arra
 
     body = None if e.body is None else {key: spread(value) for key, value in e.body.items()}
     fields = {name: spread(getattr(e, name)) for name in HISTORY}
-    nudge = _nudge(e, field)
+    assert e.dt is not None
+    nudge = _nudge(e.dt, field)
     pressed = None if e.pressed is None else spread(e.pressed)
     wide = replace(e, x=spread(e.x), body=body, pressed=pressed, **{**fields, field: fields[field] + nudge * basis})
     here, after = (term.effect.gradient(each, term.values)[1] for each in (e, wide))
