@@ -60,10 +60,9 @@ def capture(plan: Plan, folder: Path, progress: Progress | None = None) -> None:
     """Capture a session into ``folder``, or what is missing of it.
 
     Raises:
-        CaphyError: the folder holds another session.
+        CaphyError: the folder holds another session, or none can follow from the plan.
     """
-    if plan.count < 1:
-        raise CaphyError(f"a session needs at least one scan, got {plan.count}")
+    _check(plan)
     scans, truth = folder / "scans", folder / "truth"
     _claim(plan, folder, truth)
     scans.mkdir(parents=True, exist_ok=True)
@@ -89,6 +88,23 @@ def capture(plan: Plan, folder: Path, progress: Progress | None = None) -> None:
         f'name = "subject {plan.seed}"\nunit = "m"\nup_axis = "y"\nscans = "*.ply"\nposes = "poses.npz"\n',
         encoding="utf-8",
     )
+
+
+def _check(plan: Plan) -> None:
+    """Raises :class:`CaphyError`, before anything is written, where no session follows from a plan."""
+    optics = plan.optics
+    if plan.count < 1:
+        raise CaphyError(f"a session needs at least one scan, got {plan.count}")
+    if plan.seed < 0:
+        raise CaphyError(f"a seed must not be negative, got {plan.seed}")
+    for name, length in (("edge_length", plan.edge_length), ("voxel", optics.voxel)):
+        if not 0 < length < float("inf"):
+            raise CaphyError(f"{name} must be positive and finite [m], got {length}")
+    for name, size in (("pose_error", plan.pose_error), ("noise", optics.noise), ("dropouts", optics.dropouts)):
+        if not 0 <= size < float("inf"):
+            raise CaphyError(f"{name} must be finite and not negative, got {size}")
+    if min(optics.pixels) < 1:
+        raise CaphyError(f"a picture needs a width and a height of at least one pixel, got {optics.pixels}")
 
 
 def write_ply(path: Path, scan: Fused) -> None:

@@ -180,6 +180,8 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     from caphy.training.objective import Objective
     from caphy.training.validate import SHORTEST
 
+    if not 0 <= options.seed < 1 << 63:
+        raise CaphyError(f"--seed must be from 0 to 2^63 - 1, got {options.seed}")
     _take_device(options.device)
     torch.manual_seed(options.seed)
     for file in options.effect_file:

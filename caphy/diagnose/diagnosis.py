@@ -27,7 +27,7 @@ from caphy.refit.again import fitted_again
 from caphy.refit.crew import Crew
 from caphy.refit.heldout import Apart, HeldOut
 from caphy.refit.intervals import intervals
-from caphy.refit.study import Progress, Study
+from caphy.refit.study import Progress, Study, weighed_anew
 
 
 @dataclass(frozen=True)
@@ -167,6 +167,8 @@ def diagnose(
         found = each_proven(study, found, apart.errors)
         settle_rivals(study, found, apart)
     settle_laws(study, found, apart)
+    if known is None and found.fit is not None:
+        found.fit = weighed_anew(study, found.fit)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     concluded = _concluded(found, study, start, known, apart, elsewhere)
     notes = (*concluded.notes, *remarks((*measurements, *trusted, *held_out)))

@@ -7,12 +7,12 @@ from pathlib import Path
 import torch
 
 from caphy.effects.base import Step, companions
-from caphy.effects.battery import gradient_is_slope, hessian_is_slope
+from caphy.effects.battery import gradient_is_slope, hessian_is_slope, projection_is_semidefinite
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect, register_file
 from caphy.effects.sources import reading
-from caphy.effects.trial import DT, irregular_cloth, moment
+from caphy.effects.trial import DT, Moment, irregular_cloth, moment
 from caphy.errors import CaphyError, EffectFailed
 
 
@@ -55,6 +55,7 @@ def _try(name: str, path: Path) -> None:
         if not all(bool(part.isfinite().all()) for part in parts):
             raise CaphyError(f"{where} must have a finite energy and gradient, but has none on {what}; {advice}")
     _try_derivatives(name, where, advice)
+    _try_projection(potential, name, at, where, advice)
 
 
 def _try_derivatives(name: str, where: str, advice: str) -> None:
@@ -69,3 +70,22 @@ def _try_derivatives(name: str, where: str, advice: str) -> None:
                 f"{where} must have a gradient and a Hessian, its own or those of a class that it inherits from, that "
                 f"are the derivatives of its energy: {error}; {advice}"
             ) from error
+
+
+def _try_projection(potential: Potential, name: str, at: Moment, where: str, advice: str) -> None:
+    """The solver adds projected Hessians to its matrix: they must be of the Hessian's shape, and lead downhill."""
+    effect = find_effect(name)
+    elements = next(each for other, _, each in potential.acting(at.x, at.step, at.body) if other == name)
+    values = potential.terms[name].values
+    wanted, got = (tuple(of(elements, values).shape) for of in (effect.hessian, effect.projected_hessian))
+    if got != wanted:
+        raise CaphyError(f"{where}: projected_hessian must have the shape of hessian, {wanted}, got {got}; {advice}")
+    if "projection_is_semidefinite" in effect.lacks:
+        return
+    try:
+        projection_is_semidefinite(name)
+    except AssertionError as error:
+        raise CaphyError(
+            f"{where} must have a projected_hessian without negative eigenvalues that keeps what is stiff: {error}; "
+            f"{advice}"
+        ) from error

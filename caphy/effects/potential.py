@@ -117,7 +117,10 @@ class Potential:
         def tensor(value: object) -> Tensor:
             return torch.as_tensor(value, dtype=self.dtype, device=self.device)
 
-        index = torch.as_tensor(effect.index(self.cloth), dtype=torch.int64)
+        index = torch.as_tensor(effect.index(self.cloth))
+        if index.is_floating_point():
+            raise CaphyError(f"{name}: index must give numbers of vertices, whole ones, got {index.dtype}")
+        index = index.to(torch.int64)
         values = {key: tensor(value) for key, value in self.model.effects[name].items()}
         for other in effect.lenders(self.model.effects) or ():
             values |= {f"{other}.{key}": tensor(value) for key, value in self.model.effects[other].items()}

@@ -76,6 +76,8 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
         raise CaphyError(f"{where}: refines must name an effect that there is, got {effect.refines!r}")
     if effect.refines is not None and effect.start is Effect.start:
         raise CaphyError(f"{where}: must define start(self, found), since it refines {effect.refines}")
+    if unknown := [key for key in effect.coefficients if key not in effect.parameters]:
+        raise CaphyError(f"{where}: coefficients must name parameters ({list(effect.parameters)}), got {unknown}")
     others = [key for key in effect.parameters if key not in effect.coefficients]
     if unknown := [key for key in effect.further if key not in others]:
         raise CaphyError(f"{where}: further must name parameters that are no coefficients ({others}), got {unknown}")
@@ -114,6 +116,10 @@ def _check_parameter(where: str, declared: Parameter) -> None:
         default = np.asarray(declared.default, dtype=float)
     except (TypeError, ValueError):
         raise CaphyError(f"{where}: its default must be a number or tuples of them, got {declared.default!r}") from None
+    if not all(isinstance(bound, int | float) for bound in (declared.lower, declared.upper)):
+        raise CaphyError(f"{where}: its bounds must be numbers, got {declared.lower!r} and {declared.upper!r}")
+    if not isinstance(declared.unit, str):
+        raise CaphyError(f"{where}: its unit must be a string such as 'N s/m^3' or '1', got {declared.unit!r}")
     try:
         dimensions(declared.unit)
     except CaphyError as error:
@@ -178,7 +184,9 @@ def _require_own_modules(path: Path) -> None:
 
 def _name_failures(effect: type[Effect], path: Path) -> None:
     """Let what a user's effect raises say whose it is, whenever that happens: in fast motion alone, for instance."""
-    for key, value in list(vars(effect).items()):
+    theirs = [each for each in effect.__mro__ if each is not object and not each.__module__.startswith("caphy.")]
+    methods = {key: value for each in reversed(theirs) for key, value in vars(each).items()}
+    for key, value in methods.items():
         if inspect.isfunction(value):
             setattr(effect, key, _naming(value, f"{path}: {effect.name}.{key}", path))
 

@@ -75,7 +75,9 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
         relative = column.entry is None
         value, scale = (change, 1 + change) if relative else (column.value(fit.model), 1.0)
         low, high = value - scale * less, value + scale * more
-        if not relative:  # a drag is known to be none that drives
+        if relative:  # in proportion nothing changes sign
+            low = max(low, -1.0)
+        else:  # a drag is known to be none that drives
             low, high = max(low, column.declared.lower), min(high, column.declared.upper)
         found[column.name] = (float(value), float(low), float(high), column.unit)
     return found

@@ -25,7 +25,7 @@ from caphy.refit.laws import LEAST as BETTER
 from caphy.refit.laws import in_another_law, signed_ranks, told_further, way
 from caphy.refit.learned import Learned
 from caphy.refit.settings import Settings, best_setting, in_setting, settings
-from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked, retold
+from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked, retold, weighed_anew
 
 LEAST = 0.01
 """Share of the held-out misfit that must go in any case."""
@@ -204,6 +204,8 @@ def _fitted(
             on = told_further(study, best, name, variance, weight)
             if signed_ranks(way(best, on).falls(study, variance, weight)) > BETTER:
                 best = on
+    if learned is None:
+        best = weighed_anew(study, best)
     for name in removed:  # what was put where it was looked for
         best = replace(best, model=best.model.without_effect(name))
     return best, first, tuple(wanted[name] for name in removed)

@@ -16,7 +16,16 @@ from caphy.measure.windows import LENGTH
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, changes, extended, from_the_end, moved
 from caphy.refit.crew import Crew, Place
-from caphy.refit.evidence import KINDS, Evidence, borne_out, bounded, estimated_variance, evidence, tamed
+from caphy.refit.evidence import (
+    KINDS,
+    Evidence,
+    borne_out,
+    bounded,
+    estimated_variance,
+    evidence,
+    robust_weights,
+    tamed,
+)
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
 
@@ -25,7 +34,10 @@ FEWEST = 4
 
 _SHORTER = 0.4
 ROUNDS = 7
-"""Gauss-Newton steps at most."""
+"""Gauss-Newton steps that are taken in any case, as long as one promises something."""
+_MOST_ROUNDS, _STILL_FALLS = 40, 0.01  # in all at most, and of the misfit what each further one must take away
+_WEIGHED = 3  # times that variance and weights are told anew
+_MORE_THAN_PROMISED, _LONGEST = 1.5, 4.0  # times a promise: a fall after which the next step is longer, times at most
 
 RETELLINGS = 3
 """Times at most that the mesh's error is told of a fitted model."""
@@ -244,6 +256,10 @@ class Fit:
     def step(self) -> np.ndarray:
         """The change (K,) that the windows still ask for; proportional ones of at most a factor of three at a time, and
         of :data:`FURTHEST` in all."""
+        return self.longer_step(1.0)
+
+    def longer_step(self, factor: float) -> np.ndarray:
+        """Of some times the length of :attr:`step` where that stays within the same bounds."""
         limits = [
             (max(-0.6, 1 / FURTHEST / (1 + so_far) - 1), min(2.0, FURTHEST / (1 + so_far) - 1))
             if c.entry is None
@@ -251,7 +267,8 @@ class Fit:
             for c, so_far in zip(self.columns, self.change, strict=True)
         ]
         lower, upper = np.array(limits).reshape(-1, 2).T
-        return bounded(*self.evidence.normal, lower, upper)
+        normal, right = self.evidence.normal
+        return bounded(normal, factor * right, lower, upper)
 
     @property
     def promise(self) -> float:
@@ -263,7 +280,9 @@ class Fit:
     def settled(self) -> bool:
         """Whether the step that is left is small beside the change so far, where the windows can tell."""
         normal, change = self.evidence.normal[0], self.change
-        return self.promise < max(_SETTLED * float(change @ normal @ change), _NOTHING * self.misfit)
+        # Curvatures that have exploded since the origin say that all has been done; no fit takes more than was there.
+        whole = min(float(change @ normal @ change), float((self.first.weight * self.first.c).sum()))
+        return self.promise < max(_SETTLED * whole, _NOTHING * self.misfit)
 
 
 def falls_evenly(before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:
@@ -320,7 +339,7 @@ def fit(
     variance: np.ndarray,
     weight: np.ndarray,
     what: str = "fitting",
-    rounds: int = ROUNDS,
+    rounds: int | None = None,
     most: np.ndarray | None = None,
 ) -> Fit:
     """Change numbers of a model so that its roll-outs meet the windows.
@@ -332,6 +351,7 @@ def fit(
         responses: of the model as given, in these columns.
         variance: of each mode at each lag (L, M) [m^2].
         weight: of each window (W,).
+        rounds: steps at most; as many as are of use unless given.
         most: what each may count at most (W,); :data:`SNAPPED` times what it does at the start unless given.
     """
     columns = tuple(columns)
@@ -345,17 +365,27 @@ def refined(
     variance: np.ndarray,
     weight: np.ndarray,
     what: str = "fitting",
-    rounds: int = ROUNDS,
+    rounds: int | None = None,
     enough: float = 0.0,
 ) -> Fit:
-    """A fit carried on until it has settled, or another step promises no more than ``enough`` of the misfit."""
-    step = best.step
-    for _ in range(rounds):
+    """A fit carried on until it has settled, or another step promises no more than ``enough`` of the misfit.
+
+    Without ``rounds`` a fit that still falls goes on, or it would end on its way: the more there is of a drag the less
+    a further bit of it does, so that steps towards a strong one are short. Where the misfit falls by more than was
+    promised the next step is twice as long as it would be, after another such one four times.
+    """
+    step, fell, longer = best.step, 1.0, 1.0
+    for done in range(_MOST_ROUNDS if rounds is None else rounds):
+        if rounds is None and done >= ROUNDS and fell < _STILL_FALLS:
+            return best
         there = moved(best.model, best.columns, step)
         found = tried(study, best, there, variance, weight, what)
-        if found is not None and best.misfit - found.misfit > -_ROUGH * best.misfit:
-            best, step = found, found.step
-            if best.settled:
+        fell = 0.0 if found is None else 1 - found.misfit / best.misfit
+        if found is not None and fell > -_ROUGH:
+            more = fell > max(_STILL_FALLS, _MORE_THAN_PROMISED * best.promise / best.misfit)
+            longer = min(2 * longer, _LONGEST) if more else 1.0
+            best, step = found, found.longer_step(longer)
+            if best.settled and not more:
                 return replace(best, converged=True)
             if best.promise < enough * best.misfit:
                 return best
@@ -363,6 +393,29 @@ def refined(
             return best
         else:
             step = _SHORTER * step
+    return best
+
+
+def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
+    """A fit that took a large part of the misfit away, carried on with variance and weights that are told by what it
+    leaves over.
+
+    Those of the model that it began with were told where a strong effect was missing, and its tangents explained only a
+    part of that: what they did not looks like noise, most in windows and at lags in which the effect did most. So far a
+    drag of 3.0 was told as 2.4. Weights that follow the fit are iteratively reweighted least squares (Holland, Welsch,
+    Commun. Stat. A 6, 1977).
+    """
+    if best.share < _LARGE:
+        return best
+    origin = study.respond(best.origin, best.columns, what)
+    for _ in range(_WEIGHED):
+        variance = study.variance(best.responses)
+        weight = robust_weights(evidence(best.responses, variance))
+        first = evidence(origin, variance, weight)
+        best = _judged(best.origin, best.model, best.columns, best.responses, variance, weight, None, first)
+        if best.settled:
+            return replace(best, converged=True)
+        best = refined(study, best, variance, weight, what)
     return best
 
 

@@ -221,10 +221,12 @@ def decode_client(body: bytes) -> ClientMessage:
             return _decode_hello(body, count, number, extra)
         case Kind.POSES:
             _require_length(body, HEADER.size + 4 * count * POSE_FLOATS, f"{count} poses of {JOINT_COUNT} joints")
+            _require_numbers(number, count)
             return Poses(number, time, *_split(np.frombuffer(body, FLOAT, offset=HEADER.size), count)[:2])
         case Kind.SEEN:
             expected = HEADER.size + count * (8 + 4 * (POSE_FLOATS + JOINT_COUNT))
             _require_length(body, expected, f"{count} poses of {JOINT_COUNT} joints with times and confidence")
+            _require_numbers(number, count)
             times = np.frombuffer(body, "<f8", count, HEADER.size)
             poses, transl, rest = _split(np.frombuffer(body, FLOAT, offset=HEADER.size + 8 * count), count)
             return Seen(number, time, poses, transl, times, rest.reshape(count, JOINT_COUNT))
@@ -335,6 +337,12 @@ class ServerDecoder:
         self.counts = {garment.name: garment.count for garment in garments}
         fps, frames, most = WELCOME.unpack_from(body, HEADER.size)
         return Welcome(fps, frames, most, garments, latency)
+
+
+def _require_numbers(first: int, count: int) -> None:
+    """Answers carry the number of the newest pose, in 32 bits."""
+    if first + count > 1 << 32:
+        raise CaphyError(f"numbers of poses must be below 2^32, got {count} from {first} on; reset starts a new motion")
 
 
 def _header(kind: Kind, count: int = 0, number: int = 0, extra: int = 0, time: float = 0.0) -> bytes:

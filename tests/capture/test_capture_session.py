@@ -15,6 +15,7 @@ from small_session import PLAN, small_session
 from caphy.body.bundled import default_body
 from caphy.capture.drape import Dresser
 from caphy.capture.fusion import _noise
+from caphy.capture.optics import Optics
 from caphy.capture.poses import capture_poses
 from caphy.capture.session import capture, read_subject
 from caphy.capture.subject import make_subject
@@ -136,6 +137,23 @@ def test_a_session_goes_on_where_it_was_stopped(session, tmp_path):
 def test_another_session_in_the_same_folder_is_refused(session):
     with pytest.raises(CaphyError, match="holds another session"):
         capture(replace(PLAN, seed=6), session)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seed": -1},
+        {"edge_length": 0.0},
+        {"pose_error": float("nan")},
+        {"optics": Optics(noise=float("nan"))},
+        {"optics": Optics(voxel=float("nan"))},
+        {"optics": Optics(pixels=(0, 0))},
+    ],
+)
+def test_a_plan_that_cannot_be_leaves_its_folder_alone(wrong, tmp_path):
+    with pytest.raises(CaphyError, match=r"must|needs"):
+        capture(replace(PLAN, **wrong), tmp_path / "session")
+    assert not (tmp_path / "session").exists()
 
 
 def test_simulated_cloth_is_at_rest_outside_the_body(session):

@@ -152,6 +152,62 @@ def test_derivatives_of_something_else_are_refused(tmp_path, name):
     assert use_file(path) == ["ten_drag"]
 
 
+def test_what_is_inherited_and_fails_is_said_with_its_file(tmp_path):
+    raised = "    if float(dot(v, v).detach().max()) > 100:\n            raise ValueError('mine')\n        return"
+    path = _written(tmp_path / "mine.py", f"    return {ENERGY}", f"{raised} {ENERGY}")
+    path.write_text(
+        path.read_text().replace("class MyWind", "class Windy").replace('    name = "my_wind"\n', "")
+        + '\n\nclass MyWind(Windy):\n    """Another, E as its own [J]."""\n\n    name = "my_wind"\n'
+    )
+    assert use_file(path) == ["my_wind"]
+    cloth = irregular_cloth()
+    rest = torch.as_tensor(cloth.vertices)
+    step = Step.implicit_euler(1 / 30, rest, rest)
+    with pytest.raises(EffectFailed, match=r"mine\.py: my_wind\.energy fails: ValueError: mine"):
+        Potential(Model(cloth.density, {"my_wind": {}}), cloth).gradient(rest + 1.0, step)
+
+
+@pytest.mark.parametrize(
+    ("returned", "says"),
+    [
+        ("self.hessian(e, p)[0]", "projected_hessian must have the shape of hessian"),
+        ("-1000 * self.hessian(e, p)", "without negative eigenvalues"),
+        ("1e-6 * self.hessian(e, p)", "must keep the stiff directions"),
+    ],
+)
+def test_projections_that_mislead_the_solver_are_refused(tmp_path, returned, says):
+    path = _written(
+        tmp_path / "mine.py",
+        "    def rest(",
+        f"    def projected_hessian(self, e, p):\n        return {returned}\n\n    def rest(",
+    )
+    with pytest.raises(CaphyError, match=f"mine.py: my_wind.*{says}"):
+        use_file(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"N s/m^3"', "None", "its unit must be a string"),
+        ("0.0, 100.0", "None, None", "its bounds must be numbers, got None and None"),
+        (
+            '    element = "vertex"',
+            '    element = "vertex"\n    coefficients = ("no",)',
+            "coefficients must name parameters",
+        ),
+    ],
+)
+def test_declarations_that_mean_nothing_are_refused(tmp_path, old, new, says):
+    with pytest.raises(CaphyError, match=f"mine.py: .*{says}"):
+        use_file(_written(tmp_path / "mine.py", old, new))
+
+
+def test_elements_are_numbered_by_whole_numbers(tmp_path):
+    index = "    def index(self, cloth):\n        return 1.0 * cloth.hinges[:, :1]\n\n    def rest("
+    with pytest.raises(CaphyError, match="my_wind: index must give numbers of vertices, whole ones"):
+        use_file(_written(tmp_path / "mine.py", "    def rest(", index))
+
+
 def test_a_helper_of_another_file_is_not_taken_for_ones_own(tmp_path):
     for place, value in (("a", 1.0), ("b", 100.0)):
         (tmp_path / place).mkdir()

@@ -125,6 +125,14 @@ def test_cloth_that_hangs_upwards_is_told():
         require_plausible(turned, axes_stated=False)
 
 
+def test_cloth_that_hangs_sideways_is_told():
+    given, order = swinging(), [1, 0, 2]
+    turned = replace(given, vertices=given.vertices[..., order], pinned_positions=given.pinned_positions[..., order])
+    require_plausible(turned, axes_stated=True)
+    with pytest.raises(CaphyError, match="hangs along -x from its pins"):
+        require_plausible(turned, axes_stated=False)
+
+
 def test_clouds_round_trip_in_both_forms(tmp_path):
     cloud = np.random.default_rng(0).uniform(0, 0.5, (90, 3))
     given = Measurement(name="scan", fps=15.0, points=cloud, offsets=np.array([0, 40, 40, 90]))

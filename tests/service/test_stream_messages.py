@@ -196,6 +196,17 @@ def test_messages_of_the_other_side_are_refused():
         ServerDecoder(Encoding.FLOAT32, False).decode(vector("client_reset"))
 
 
+@pytest.mark.parametrize("name", ["client_poses", "client_seen"])
+def test_numbers_that_no_answer_could_carry_are_refused(name):
+    """An answer carries the number of the newest pose."""
+    body = vector(name)
+    message = decode_client(body)
+    last = 2**32 - len(message.poses)
+    assert decode_client(body[:8] + struct.pack("<I", last) + body[12:]).number == last
+    with pytest.raises(CaphyError, match="must be below 2\\^32"):
+        decode_client(body[:8] + struct.pack("<I", last + 1) + body[12:])
+
+
 @given(st.binary(max_size=300))
 def test_any_bytes_are_refused_in_words(body):
     for decode in (decode_client, ServerDecoder(Encoding.UINT16, True, {"hat": 2}).decode):

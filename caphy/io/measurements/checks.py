@@ -340,6 +340,12 @@ def _require_hanging(measurement: Measurement) -> None:
             measurement,
             "the cloth hangs upwards from its pins; turn it, or state up_axis = 'y' in the file if it does fly so",
         )
+    if length > 0.1 * _size(measurement) and hanging[1] > -0.3 * length and abs(hanging[0]) > 0.8 * length:
+        raise _error(
+            measurement,
+            f"the cloth hangs along {'-' if hanging[0] < 0 else ''}x from its pins, so that axes seem to be exchanged; "
+            "turn it, or state up_axis = 'y' in the file if it does fly that way",
+        )
     if length > 0.1 * _size(measurement) and hanging[1] > -0.3 * length and hanging[2] < -0.8 * length:
         raise _error(
             measurement,

@@ -1,0 +1,73 @@
+"""Fits to a strong effect, whose tangents tell little of it: as numbers alone, whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from caphy.effects.model import Model
+from caphy.refit.columns import addition
+from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.responses import Response
+from caphy.refit.study import Study, fit, weighed_anew
+
+MODEL, COLUMNS, TRUE = Model(0.2, {"inertia": {}}), addition("mass_damping"), 3.0
+WINDOWS, MODES = 12, 6
+NUISANCE = np.full((2, MODES, 3, 1), 1e-9)  # next to none
+
+
+class Told(Study):
+    """Windows of two lags, in which everything moves by ``way`` of a rate of damping as ``slope`` says that it does."""
+
+    noise = 1e-4
+
+    def __init__(self, way: Callable[[float], np.ndarray], slope: Callable[[float], np.ndarray], astray: float) -> None:
+        self.way, self.slope, self.mesh = way, slope, None
+        random = np.random.default_rng(0)
+        self.size = random.uniform(0.5, 2.0, (WINDOWS, 1, MODES, 3))
+        self.left = random.normal(0, 1e-3, (WINDOWS, 2, MODES, 3))
+        self.left[:, 0] -= astray * self.size[:, 0]
+
+    def respond(self, model, columns, what="", pushes=None, anew=(), free=False):
+        rate = float(model.effects.get("mass_damping", {}).get("rate", 0.0))
+        away = (self.way(TRUE) - self.way(rate))[:, None, None] * self.size + self.left
+        moved = self.slope(rate)[:, None, None] * self.size
+        seen, error = np.ones(2, bool), np.zeros((2, 1))
+        return [
+            Response(0, number, residual, seen, column[..., None], NUISANCE, error, seen)
+            for number, (residual, column) in enumerate(zip(away, moved, strict=True))
+        ]
+
+
+def fitted(study: Told):
+    """The fit from nothing, with what variance and weights say there."""
+    responses = study.respond(MODEL, COLUMNS)
+    variance = study.variance(responses)
+    return fit(study, MODEL, COLUMNS, responses, variance, robust_weights(evidence(responses, variance)))
+
+
+def test_a_fit_does_not_end_on_its_way():
+    """Tangents that say five times what roll-outs do: seven steps of theirs would leave a fifth."""
+    found = fitted(Told(lambda a: 0.01 * a * np.ones(2), lambda a: 0.05 * np.ones(2), 0.0))
+    assert found.converged
+    assert found.change[0] == pytest.approx(TRUE, rel=0.05)
+
+
+def test_variance_and_weights_follow_a_strong_effect():
+    """The second lag tells more and more of the rate, which tangents at first do not know, and so looks like noise; the
+    first is astray."""
+    way = lambda a: 0.01 * np.array([a, a + 0.3 * a**2])  # noqa: E731
+    study = Told(way, lambda a: 0.01 * np.array([1, 1 + 0.6 * a]), astray=0.005)
+    before = fitted(study)
+    after = weighed_anew(study, before)
+    assert before.change[0] < 0.98 * TRUE
+    assert after.change[0] == pytest.approx(TRUE, rel=0.004)
+    assert after.converged
+
+
+def test_weights_of_a_weak_effect_stay():
+    study = Told(lambda a: 1e-5 * a * np.ones(2), lambda a: 1e-5 * np.ones(2), 0.0)
+    found = fitted(study)
+    assert weighed_anew(study, found) is found
