@@ -191,7 +191,7 @@ def _concluded(
         terms = []
     before = first.responses
     if terms and not elsewhere.beats and found.fit is not None:
-        again = fitted_again(study, found.fit, first.variance)
+        again = fitted_again(study, found.fit, first.variance, base is None)
         if again is not None:
             found.fit, before, earlier = again.fit, again.before, numbers
             numbers = _coefficients(found, base, len(study.scenes))

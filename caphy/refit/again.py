@@ -17,7 +17,7 @@ from caphy.errors import Diverged
 from caphy.refit.columns import changes, extended, moved
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.responses import Response
-from caphy.refit.study import Fit, Study, fit, gone_further, refined, retold, tried
+from caphy.refit.study import Fit, Study, fit, gone_further, refined, retold, tried, weighed_anew
 
 TIMES = 3
 """Registrations of fitted models, at most."""
@@ -43,12 +43,13 @@ class Again:
     times: int = 1
 
 
-def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
+def fitted_again(study: Study, best: Fit, variance: np.ndarray, weigh: bool = False) -> Again | None:
     """Fit a model to clouds registered by what was fitted to them, until both agree; none where clouds are not at hand.
 
     Args:
         best: fitted to the ``study`` as it was registered first.
         variance: of each mode at each lag (L, M) [m^2].
+        weigh: tell variance and weights anew at last, as :func:`caphy.refit.study.weighed_anew`.
     """
     found, first = None, best
     pairs, there = [(np.zeros_like(best.change), best.change)], best.model
@@ -66,6 +67,8 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray) -> Again | None:
         there = moved(best.origin, best.columns, meeting)
     if found is None:
         return None
+    if weigh:
+        best = weighed_anew(found.study, best)
     gone = gone_further(first.by_retelling, best.columns, best.change - first.change)
     return replace(found, fit=replace(best, by_retelling=gone), times=len(pairs) - 1)
 

@@ -92,7 +92,7 @@ def refit(
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
-    again = None if _refused(errors, fitted, numbers, kept) else fitted_again(study, fitted, variance)
+    again = None if _refused(errors, fitted, numbers, kept) else fitted_again(study, fitted, variance, learned is None)
     if again is not None:
         fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
         numbers = intervals(fitted, learned, len(study.scenes))

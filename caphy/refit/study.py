@@ -228,6 +228,7 @@ class Fit:
         follow: of columns that screens do not know, what those of the effect that theirs refines do to them.
         by_retelling: how far columns, also some that are fitted no more, went because the mesh's error was told of the
             fitted model, or clouds were registered by it.
+        weighed_first: what windows said before variance and weights were told anew, where they were.
     """
 
     origin: Model
@@ -241,6 +242,7 @@ class Fit:
     converged: bool = False
     follow: Mapping[Column, Mapping[Column, float]] = field(default_factory=dict)
     by_retelling: Mapping[Column, float] = field(default_factory=dict)
+    weighed_first: Evidence | None = None
 
     @property
     def change(self) -> np.ndarray:
@@ -407,6 +409,7 @@ def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
     """
     if best.share < _LARGE:
         return best
+    old = best.evidence
     origin = study.respond(best.origin, best.columns, what)
     for _ in range(_WEIGHED):
         variance = study.variance(best.responses)
@@ -414,9 +417,10 @@ def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
         first = evidence(origin, variance, weight)
         best = _judged(best.origin, best.model, best.columns, best.responses, variance, weight, None, first)
         if best.settled:
-            return replace(best, converged=True)
+            best = replace(best, converged=True)
+            break
         best = refined(study, best, variance, weight, what)
-    return best
+    return replace(best, weighed_first=old)
 
 
 def tried(

@@ -241,7 +241,7 @@ def test_what_clouds_tell_is_told_by_those_registered_again(named, apart, dragge
     """What is told, kept and held out is of the fit that agrees with its clouds."""
     seen_rates = []
 
-    def again(study: Study, best: Fit, variance: np.ndarray) -> Again:
+    def again(study: Study, best: Fit, variance: np.ndarray, weigh: bool) -> Again:
         (rate,) = best.change
         model = best.model.with_effect(HIDDEN, rate=1.2 * rate)
         seen_rates.append(rate)
@@ -268,7 +268,7 @@ def test_what_clouds_tell_is_told_by_those_registered_again(named, apart, dragge
 def test_what_clouds_registered_again_do_not_tell_is_taken_back(named, apart, dragged, monkeypatch):
     """As a viscosity that was named where only the time step differed, which came to 0.067 (0 to 0.137) N s/m."""
 
-    def again(study: Study, best: Fit, variance: np.ndarray) -> Again:
+    def again(study: Study, best: Fit, variance: np.ndarray, weigh: bool) -> Again:
         before = study.respond(best.origin, best.columns)
         nothing = best.origin.with_effect(HIDDEN, rate=1e-6)
         told = evidence(before, variance, best.first.weight)
