@@ -276,10 +276,12 @@ def _loops_on_body(potential: Potential) -> Iterator[Callable[[np.ndarray, BodyS
 
 
 def _bound(
-    bind: Callable[[Bound], Arguments], term: Term, body: BodyState | None
+    bind: Callable[[Bound], Arguments | None], term: Term, body: BodyState | None
 ) -> tuple[Callable, tuple[Tensor, ...], list[Any]]:
     """A kernel, the fields that it reads, and its constants."""
-    kernel, fields, given = bind(Bound(term.index, term.rest, term.values, None, body))
+    arguments = bind(Bound(term.index, term.rest, term.values, None, body))
+    assert arguments is not None, "without history every kernel holds"
+    kernel, fields, given = arguments
     return kernel, fields, [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
 
 
