@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Set
 from contextlib import suppress
 from functools import cache, wraps
 from importlib.metadata import entry_points
+from numbers import Real
 from pathlib import Path
 from types import ModuleType
 from typing import get_args
@@ -116,7 +117,7 @@ def _check_parameter(where: str, declared: Parameter) -> None:
         default = np.asarray(declared.default, dtype=float)
     except (TypeError, ValueError):
         raise CaphyError(f"{where}: its default must be a number or tuples of them, got {declared.default!r}") from None
-    if not all(isinstance(bound, int | float) for bound in (declared.lower, declared.upper)):
+    if not all(isinstance(bound, Real) for bound in (declared.lower, declared.upper)):
         raise CaphyError(f"{where}: its bounds must be numbers, got {declared.lower!r} and {declared.upper!r}")
     if not isinstance(declared.unit, str):
         raise CaphyError(f"{where}: its unit must be a string such as 'N s/m^3' or '1', got {declared.unit!r}")

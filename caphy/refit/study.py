@@ -382,9 +382,10 @@ def refined(
             return best
         there = moved(best.model, best.columns, step)
         found = tried(study, best, there, variance, weight, what)
-        fell = 0.0 if found is None else 1 - found.misfit / best.misfit
+        before = max(best.misfit, 1e-300)
+        fell = 0.0 if found is None else 1 - found.misfit / before
         if found is not None and fell > -_ROUGH:
-            more = fell > max(_STILL_FALLS, _MORE_THAN_PROMISED * best.promise / best.misfit)
+            more = fell > max(_STILL_FALLS, _MORE_THAN_PROMISED * best.promise / before)
             longer = min(2 * longer, _LONGEST) if more else 1.0
             best, step = found, found.longer_step(longer)
             if best.settled and not more:
