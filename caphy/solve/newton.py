@@ -170,7 +170,7 @@ class Newton:
         planes = _Planes(body, guess)
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
-            raise Diverged("the state to start from must be finite, with finite energy; check pose, garment and model")
+            raise Diverged(self._why_not(here, step))
         level, leaps, factor = 0, 0, None
         for iteration in range(self.max_iterations):
             renewals = (_STATIC_RENEWALS if step is None else _RENEWALS) if here.residual <= self.tolerance else 0
@@ -222,6 +222,15 @@ class Newton:
         energy, gradient = self.potential.gradient(x, step, state)
         forces = gradient.numpy()
         return _Point(x, state, float(energy), forces if self._free is None else forces * self._free)
+
+    def _why_not(self, here: _Point, step: Step | None) -> str:
+        """What is not finite at a state, in words."""
+        must = "the state to start from must be finite, with finite energy"
+        if not bool(here.x.isfinite().all()):
+            return f"{must}; check pose, garment and model"
+        energies = self.potential.energies(here.x, step, here.body)
+        wrong = [name for name, energy in energies.items() if not bool(energy.isfinite())]
+        return f"{must}, but {' and '.join(wrong) or 'a force'} is not there; check pose, garment and model"
 
     def _followed(self, there: _Point, step: Step | None, planes: _Planes) -> _Point:
         """A trial state as it is seen once contact planes have followed it."""

@@ -19,8 +19,9 @@ from caphy.effects.registry import register_file
 from caphy.effects.scaffold import write_scaffold
 from caphy.effects.sources import sources
 from caphy.effects.trial import irregular_cloth
-from caphy.errors import CaphyError, EffectFailed
+from caphy.errors import CaphyError, Diverged, EffectFailed
 from caphy.kept import Kept
+from caphy.solve.newton import Newton
 
 ENERGY = '0.5 * e.dt * p["coefficient"] * e.rest["area"] * dot(slip, slip)'
 
@@ -150,6 +151,16 @@ def test_derivatives_of_something_else_are_refused(tmp_path, name):
         use_file(path)
     path.write_text(path.read_text().replace("10 * super()", "super()"))
     assert use_file(path) == ["ten_drag"]
+
+
+def test_what_is_no_number_in_fast_motion_is_named(tmp_path):
+    path = _written(tmp_path / "mine.py", f"return {ENERGY}", f"return {ENERGY} * (1 - dot(v, v) / 1e4).sqrt()")
+    assert use_file(path) == ["my_wind"]
+    cloth = irregular_cloth()
+    rest = torch.as_tensor(cloth.vertices)
+    model = Model(cloth.density, {"inertia": {}, "my_wind": {}})
+    with pytest.raises(Diverged, match="with finite energy, but my_wind is not there"):
+        Newton(Potential(model, cloth)).minimise(rest + 10.0, Step.implicit_euler(1 / 30, rest, rest))
 
 
 def test_what_is_inherited_and_fails_is_said_with_its_file(tmp_path):
