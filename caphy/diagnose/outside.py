@@ -16,6 +16,7 @@ library explains its own data at least as well as any probe does (29 of 29 cases
 challenge's square), and five of six forces from outside the library leave a probe well ahead."""
 
 _MORE = 1.5  # times the gain of the best of what is left of the library, at the end
+_LEFT = 0.05  # of what is left after effects were accepted: as a further one of the library must without other proof
 _SURE = 2.0  # standard errors over windows
 
 
@@ -54,7 +55,8 @@ def outside(found: Search, floor: float = 0.0) -> Outside:
     if early.beats:
         return early
     last = found.screens[-1]
-    late = _compared(last, _MORE * max(score.gain for score in last.scores), floor)
+    least = _MORE * max(score.gain for score in last.scores)
+    late = _compared(last, max(least, _LEFT if found.terms else 0.0), floor)
     return replace(late, after=tuple(term.group.label for term in found.terms))
 
 

@@ -10,6 +10,7 @@ import pytest
 from caphy.diagnose import base, diagnosis, proof, search
 from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
+from caphy.diagnose.outside import outside
 from caphy.diagnose.screen import Score
 from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search, Term, finalists, ranked
 from caphy.effects.model import Model
@@ -319,3 +320,21 @@ def test_clouds_that_moved_parameters_do_not_follow_are_named():
     of_base, held_out = diagnosis._not_by_moved(study, moved, failed)
     assert of_base.startswith("base clouds") and of_base.endswith("moved: frame 3: no face is near")
     assert held_out.startswith("held-out clouds") and held_out.endswith("moved: frame 7: none")
+
+
+def probed(gain: float, library: float):
+    """A screen in which a force by the velocity takes away a share of the misfit, in each of ten windows."""
+    null = np.full(10, 100.0)
+    told = {"velocity": SimpleNamespace(misfit=(1 - gain) * null, change=np.zeros(1), beat=None)}
+    flexible = SimpleNamespace(told=told, gains={"velocity": gain}, null=null)
+    return SimpleNamespace(flexible=flexible, scores=[score(DRAG, library)], needed=0.01)
+
+
+@pytest.mark.parametrize(("left", "flagged"), [(0.025, False), (0.06, True)])
+def test_what_is_left_after_an_effect_must_be_worth_a_further_one(left, flagged):
+    """As a quadratic wind was called none of these, of which a force by the velocity took 2 % of what it left over."""
+    first, last = probed(0.3, 0.5), probed(left, 0.002)
+    after = outside(SimpleNamespace(screens=[first, last], terms=[SimpleNamespace(group=DRAG)]))
+    assert (after.beats, after.after) == (flagged, ("mass_damping",))
+    alone = probed(0.025, 0.002)
+    assert outside(SimpleNamespace(screens=[alone], terms=[])).beats
