@@ -24,13 +24,16 @@ from caphy.effects.model import Model
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
+from caphy.measure.track import Progress
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column
 from caphy.refit.crew import Crew
+from caphy.refit.descent import fit
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
+from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
-from caphy.refit.responses import Response
-from caphy.refit.study import Fit, Progress, Study, fit, picked
+from caphy.refit.responses import Response, picked
+from caphy.refit.study import Study
 
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """How much corrections may be shrunk, in units of what the data say of each alone; windows left out choose."""

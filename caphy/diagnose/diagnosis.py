@@ -23,11 +23,13 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.remarks import remarks
+from caphy.measure.track import Progress
 from caphy.refit.again import fitted_again
 from caphy.refit.crew import Crew
+from caphy.refit.descent import weighed_anew
 from caphy.refit.heldout import Apart, HeldOut
 from caphy.refit.intervals import intervals
-from caphy.refit.study import Progress, Study, weighed_anew
+from caphy.refit.study import Study
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ import numpy as np
 from caphy.diagnose.groups import Group
 from caphy.diagnose.search import Search, Term
 from caphy.refit.columns import addition, further
+from caphy.refit.fit import Fit
 from caphy.refit.heldout import Apart
 from caphy.refit.laws import LEAST, in_another_law, law_of, signed_ranks, told_further, way
-from caphy.refit.study import Fit, Study
+from caphy.refit.study import Study
 
 SURE = 2.0
 """Standard deviations of the signed ranks' sum within which two laws are alike."""

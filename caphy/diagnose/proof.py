@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from caphy.diagnose.search import Search, Term, take_back
+from caphy.refit.fit import Fit
 from caphy.refit.heldout import HeldOut
-from caphy.refit.study import Fit, Study
+from caphy.refit.study import Study
 
 
 def each_proven(study: Study, found: Search, held_out: Callable[[Fit], HeldOut]) -> Search:

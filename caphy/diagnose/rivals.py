@@ -9,8 +9,10 @@ import numpy as np
 from caphy.diagnose.ambiguity import alike
 from caphy.diagnose.groups import Group
 from caphy.diagnose.search import Search, Term, refitted
+from caphy.refit.descent import retold
+from caphy.refit.fit import Fit
 from caphy.refit.heldout import Apart
-from caphy.refit.study import Fit, Study, retold
+from caphy.refit.study import Study
 
 TOLD = 0.5
 """Of what a fitted effect does: by how much what tangents promised may differ for them to have ranked it rightly."""

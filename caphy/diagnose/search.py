@@ -15,10 +15,12 @@ from caphy.diagnose.probes import WIDTHS, Probes
 from caphy.diagnose.screen import Score, borrowed_gains, bounds, in_few, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, changes, extended, from_the_end, moved
+from caphy.refit.descent import ROUNDS, fit, refined, retold
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
-from caphy.refit.responses import Response, Watched
+from caphy.refit.fit import Fit, share_gone
+from caphy.refit.responses import Response, Watched, picked
 from caphy.refit.settings import Settings, best_setting, in_setting, settings
-from caphy.refit.study import ROUNDS, Fit, Study, fit, picked, refined, retold, share_gone
+from caphy.refit.study import Study
 from caphy.refit.tangents import Pushes
 
 LEAST_GAIN = 0.03

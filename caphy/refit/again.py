@@ -15,9 +15,11 @@ import numpy as np
 from caphy.effects.model import Model
 from caphy.errors import Diverged
 from caphy.refit.columns import changes, extended, moved
+from caphy.refit.descent import fit, gone_further, refined, retold, tried, weighed_anew
 from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.fit import Fit
 from caphy.refit.responses import Response
-from caphy.refit.study import Fit, Study, fit, gone_further, refined, retold, tried, weighed_anew
+from caphy.refit.study import Study
 
 TIMES = 3
 """Registrations of fitted models, at most."""
@@ -49,7 +51,7 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray, weigh: bool = Fa
     Args:
         best: fitted to the ``study`` as it was registered first.
         variance: of each mode at each lag (L, M) [m^2].
-        weigh: tell variance and weights anew at last, as :func:`caphy.refit.study.weighed_anew`.
+        weigh: tell variance and weights anew at last, as :func:`caphy.refit.descent.weighed_anew`.
     """
     found, first = None, best
     pairs, there = [(np.zeros_like(best.change), best.change)], best.model

@@ -12,10 +12,11 @@ from caphy.effects.model import Model
 from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
+from caphy.refit.fit import Fit, share_gone
 from caphy.refit.laws import Way
 from caphy.refit.learned import Learned
-from caphy.refit.responses import Response
-from caphy.refit.study import Fit, Study, picked, share_gone
+from caphy.refit.responses import Response, picked
+from caphy.refit.study import Study
 
 PROVEN = 1 / 3
 """Of the share of the misfit that a fit takes away: what it must take away on held-out measurements."""

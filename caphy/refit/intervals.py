@@ -9,8 +9,8 @@ from scipy.stats import t as student
 
 from caphy.refit.borrowed import deciding, few
 from caphy.refit.evidence import Evidence, ridged
+from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
-from caphy.refit.study import Fit
 
 REPLICAS = 500
 LEVEL = 0.95

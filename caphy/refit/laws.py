@@ -14,8 +14,10 @@ from scipy.stats import rankdata
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect, registered_effects
 from caphy.refit.columns import Column, addition, changes, from_the_end, further
+from caphy.refit.descent import fit
 from caphy.refit.evidence import evidence, ridged
-from caphy.refit.study import Fit, Study, falls_evenly, fit
+from caphy.refit.fit import Fit, falls_evenly
+from caphy.refit.study import Study
 
 LEAST = 1.0
 """By how many standard deviations of the signed ranks' sum another law must be better."""
@@ -94,7 +96,7 @@ class Way:
     columns: tuple[Column, ...]
 
     def falls(self, study: Study, variance: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """By how much the misfit of each window (W,) falls, as by :func:`caphy.refit.study.falls_evenly`."""
+        """By how much the misfit of each window (W,) falls, as by :func:`caphy.refit.fit.falls_evenly`."""
         here, there = (
             evidence(study.respond(model, self.columns, "comparing", anew={"solver"}), variance, weight)
             for model in (self.here, self.there)

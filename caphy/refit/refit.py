@@ -14,18 +14,22 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
+from caphy.measure.track import Progress
 from caphy.refit.again import fitted_again
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, addition, extended, further, moved, tunable
 from caphy.refit.crew import Crew
+from caphy.refit.descent import fit, retold, weighed_anew
 from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.fit import Fit
 from caphy.refit.heldout import PROVEN, Apart, HeldOut
 from caphy.refit.intervals import intervals
 from caphy.refit.laws import LEAST as BETTER
 from caphy.refit.laws import in_another_law, signed_ranks, told_further, way
 from caphy.refit.learned import Learned
+from caphy.refit.responses import picked
 from caphy.refit.settings import Settings, best_setting, in_setting, settings
-from caphy.refit.study import FEWEST, Fit, Progress, Study, fit, picked, retold, weighed_anew
+from caphy.refit.study import FEWEST, Study
 
 LEAST = 0.01
 """Share of the held-out misfit that must go in any case."""

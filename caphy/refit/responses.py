@@ -304,3 +304,9 @@ def watched(scenes: Sequence[Scene], length: int = LENGTH, like: Sequence[Watche
     """Scenes in the order given, as :class:`Watched` each ``like`` the same motion registered otherwise."""
     known = [None] * len(scenes) if like is None else like
     return [Watched(scene, number, length, old) for number, (scene, old) in enumerate(zip(scenes, known, strict=True))]
+
+
+def picked(responses: Sequence[Response], columns: Sequence[int]) -> list[Response]:
+    """The same windows with some of the columns."""
+    index = list(columns)
+    return [replace(response, columns=response.columns[..., index]) for response in responses]

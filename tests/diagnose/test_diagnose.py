@@ -26,9 +26,10 @@ from caphy.measure.scene import Scene
 from caphy.refit.again import Again
 from caphy.refit.columns import addition
 from caphy.refit.evidence import evidence
+from caphy.refit.fit import Fit
 from caphy.refit.heldout import Apart
 from caphy.refit.refit import refit
-from caphy.refit.study import Fit, Study
+from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 DRAG = 0.6  # kg/m^2/s against the velocity: a rate of 3 1/s on cloth of 0.2 kg/m^2

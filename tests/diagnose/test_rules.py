@@ -16,8 +16,8 @@ from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search,
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, extended, moved
 from caphy.refit.evidence import Evidence
+from caphy.refit.fit import Fit
 from caphy.refit.heldout import HeldOut
-from caphy.refit.study import Fit
 
 DRAG, PRESSURE = Group("mass_damping", addition("mass_damping")), Group("pressure", addition("pressure"))
 STIFFNESS = Group("strain_stvk", (Column("strain_stvk", "lame_mu", None),), own=True)

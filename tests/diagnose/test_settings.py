@@ -12,10 +12,11 @@ from caphy.diagnose.search import _in_setting, screen
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition, further
+from caphy.refit.descent import fit
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.laws import told_further
 from caphy.refit.settings import best_setting, in_setting, settings
-from caphy.refit.study import Study, fit
+from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 

@@ -10,9 +10,9 @@ import pytest
 from caphy.diagnose.screen import borrowed_gains, gains, in_few, null_gains
 from caphy.refit.borrowed import deciding, where_few_decide
 from caphy.refit.evidence import Evidence, evidence
+from caphy.refit.fit import share_gone
 from caphy.refit.heldout import HeldOut
 from caphy.refit.responses import Response
-from caphy.refit.study import share_gone
 
 LAGS, MODES, WINDOWS = 8, 10, 12
 VARIANCE = np.full((LAGS, MODES), 1e-6)

@@ -11,7 +11,8 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError, Diverged
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition
-from caphy.refit.study import Study, fit
+from caphy.refit.descent import fit
+from caphy.refit.study import Study
 from caphy.solve.newton import Newton
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})

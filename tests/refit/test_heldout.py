@@ -10,10 +10,11 @@ from explicit_cloth import measured, simulate
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition
+from caphy.refit.descent import fit
 from caphy.refit.evidence import evidence
 from caphy.refit.heldout import Apart
 from caphy.refit.learned import Learned
-from caphy.refit.study import Study, fit
+from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 KNOWN = {"mass_damping.rate": 0.4, "air_drag_normal.coefficient": 0.0}

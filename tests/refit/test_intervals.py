@@ -9,11 +9,12 @@ import pytest
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column
+from caphy.refit.descent import _way_left
 from caphy.refit.evidence import Evidence
+from caphy.refit.fit import Fit
 from caphy.refit.intervals import half_widths, intervals
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response
-from caphy.refit.study import Fit, _way_left
 
 DRAG, PRESSURE = Column("mass_damping", "rate"), Column("pressure", "pressure")
 MODEL = Model(0.2, {"gravity": {}})

@@ -19,8 +19,9 @@ from caphy.measure.comparison import compare
 from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition
+from caphy.refit.descent import fit, retold
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.study import Study, fit, retold
+from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 FRAMES = 26

@@ -12,8 +12,10 @@ from caphy.measure.track import registered
 from caphy.refit import again
 from caphy.refit.again import agreed, fitted_again
 from caphy.refit.columns import addition, tunable
+from caphy.refit.descent import fit
 from caphy.refit.evidence import Evidence, evidence, robust_weights
-from caphy.refit.study import Fit, Study, fit
+from caphy.refit.fit import Fit
+from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 COLUMNS = addition("shear_stiffness")

@@ -10,7 +10,7 @@ import pytest
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import Evidence
-from caphy.refit.study import Fit, share_gone
+from caphy.refit.fit import Fit, share_gone
 
 COUNT = 12
 

@@ -9,9 +9,10 @@ import pytest
 
 from caphy.effects.model import Model
 from caphy.refit.columns import addition
+from caphy.refit.descent import fit, weighed_anew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.responses import Response
-from caphy.refit.study import Study, fit, weighed_anew
+from caphy.refit.study import Study
 
 MODEL, COLUMNS, TRUE = Model(0.2, {"inertia": {}}), addition("mass_damping"), 3.0
 WINDOWS, MODES = 12, 6

@@ -1,0 +1,184 @@
+"""Fits of a model's numbers to windows, by Gauss-Newton on real roll-outs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from caphy.effects.model import Model
+from caphy.errors import Diverged
+from caphy.refit.columns import Column, moved
+from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.fit import LARGE, Fit, judged
+from caphy.refit.responses import Response
+from caphy.refit.study import Study
+
+ROUNDS = 7
+"""Gauss-Newton steps that are taken in any case, as long as one promises something."""
+_MOST_ROUNDS, _STILL_FALLS = 40, 0.01  # in all at most, and of the misfit what each further one must take away
+_MORE_THAN_PROMISED, _LONGEST = 1.5, 4.0  # times a promise: a fall after which the next step is longer, times at most
+_SHORTER = 0.4
+_ROUGH = 0.05  # of the misfit: what differs between roll-outs of almost the same model, because folds snap
+_FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
+_WEIGHED = 3  # times that variance and weights are told anew
+
+RETELLINGS = 3
+"""Times at most that the mesh's error is told of a fitted model."""
+
+_AGREE = 0.9  # cosine of two steps between retellings beyond which they are of one way
+_SHRINKS = 0.8  # factor from one to the next that is believed at most
+
+
+def fit(
+    study: Study,
+    model: Model,
+    columns: Sequence[Column],
+    responses: Sequence[Response],
+    variance: np.ndarray,
+    weight: np.ndarray,
+    what: str = "fitting",
+    rounds: int | None = None,
+    most: np.ndarray | None = None,
+) -> Fit:
+    """Change numbers of a model so that its roll-outs meet the windows.
+
+    Gauss-Newton, with shorter steps where one makes things worse; bounds are kept. Windows start where the measurement
+    says, whatever the model: starts that followed the fit would make any fit look better than none.
+
+    Args:
+        responses: of the model as given, in these columns.
+        variance: of each mode at each lag (L, M) [m^2].
+        weight: of each window (W,).
+        rounds: steps at most; as many as are of use unless given.
+        most: what each may count at most (W,); by :func:`caphy.refit.fit.judged` unless given.
+    """
+    columns = tuple(columns)
+    start = judged(model, model, columns, list(responses), variance, weight, most)
+    return refined(study, start, variance, weight, what, rounds)
+
+
+def refined(
+    study: Study,
+    best: Fit,
+    variance: np.ndarray,
+    weight: np.ndarray,
+    what: str = "fitting",
+    rounds: int | None = None,
+    enough: float = 0.0,
+) -> Fit:
+    """A fit carried on until it has settled, or another step promises no more than ``enough`` of the misfit.
+
+    Without ``rounds`` a fit that still falls goes on, or it would end on its way: the more there is of a drag the less
+    a further bit of it does, so that steps towards a strong one are short. Where the misfit falls by more than was
+    promised the next step is twice as long as it would be, after another such one four times.
+    """
+    step, fell, longer = best.step, 1.0, 1.0
+    for done in range(_MOST_ROUNDS if rounds is None else rounds):
+        if rounds is None and done >= ROUNDS and fell < _STILL_FALLS:
+            return best
+        there = moved(best.model, best.columns, step)
+        found = tried(study, best, there, variance, weight, what)
+        before = max(best.misfit, 1e-300)
+        fell = 0.0 if found is None else 1 - found.misfit / before
+        if found is not None and fell > -_ROUGH:
+            more = fell > max(_STILL_FALLS, _MORE_THAN_PROMISED * best.promise / before)
+            longer = min(2 * longer, _LONGEST) if more else 1.0
+            best, step = found, found.longer_step(longer)
+            if best.settled and not more:
+                return replace(best, converged=True)
+            if best.promise < enough * best.misfit:
+                return best
+        elif best.promise < _FUTILE * best.misfit:
+            return best
+        else:
+            step = _SHORTER * step
+    return best
+
+
+def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
+    """A fit that took a large part of the misfit away, carried on with variance and weights that are told by what it
+    leaves over.
+
+    Those of the model that it began with were told where a strong effect was missing, and its tangents explained only a
+    part of that: what they did not looks like noise, most in windows and at lags in which the effect did most. So far a
+    drag of 3.0 was told as 2.4. Weights that follow the fit are iteratively reweighted least squares (Holland, Welsch,
+    Commun. Stat. A 6, 1977).
+    """
+    if best.share < LARGE:
+        return best
+    old = best.evidence
+    origin = study.respond(best.origin, best.columns, what)
+    for _ in range(_WEIGHED):
+        variance = study.variance(best.responses)
+        weight = robust_weights(evidence(best.responses, variance))
+        first = evidence(origin, variance, weight)
+        best = judged(best.origin, best.model, best.columns, best.responses, variance, weight, None, first)
+        if best.settled:
+            best = replace(best, converged=True)
+            break
+        best = refined(study, best, variance, weight, what)
+    return replace(best, weighed_first=old)
+
+
+def tried(
+    study: Study,
+    best: Fit,
+    there: Model,
+    variance: np.ndarray,
+    weight: np.ndarray,
+    what: str,
+    anew: Collection[str] = (),
+) -> Fit | None:
+    """A fit moved to another model, or none where cloth flies apart there."""
+    try:
+        responses = study.respond(there, best.columns, what, anew=anew)
+    except Diverged:
+        return None
+    return judged(best.origin, there, best.columns, responses, variance, weight, best.most, best.first)
+
+
+def retold(
+    study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "what the mesh does now"
+) -> Fit:
+    """A fit carried on with the mesh's error told of the fitted model, where it is known how much of it is there.
+
+    A coarse mesh does not answer a stiffness or a damping as the cloth does; how its error changes with the fit tells
+    what is between them. Each time the numbers go a part of the way that was left: after two of them, to its end.
+    """
+    if study.mesh is None:
+        return best
+    path, there, before = [best.change], best.model, best.by_retelling
+    for _ in range(RETELLINGS):
+        told = tried(study, best, there, variance, weight, what, {"solver"})
+        if told is None:
+            break
+        best = told
+        if best.settled:
+            best = replace(best, converged=True)
+            break
+        best = refined(study, best, variance, weight, what)
+        path.append(best.change)
+        further = _way_left(path, best.evidence.normal[0])
+        there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model
+    return replace(best, by_retelling=gone_further(before, best.columns, best.change - path[0]))
+
+
+def gone_further(before: Mapping[Column, float], columns: Sequence[Column], change: np.ndarray) -> dict[Column, float]:
+    """:attr:`Fit.by_retelling` of columns that went by a further ``change`` (K,)."""
+    return {c: float(np.hypot(by, before.get(c, 0.0))) for c, by in zip(columns, change, strict=True)}
+
+
+def _way_left(path: Sequence[np.ndarray], metric: np.ndarray) -> np.ndarray:
+    """From the last of some changes (K,) to where steps that shrink by one factor lead (Aitken 1926); zero unless two
+    steps agree in direction, by a ``metric`` (K, K)."""
+    if len(path) < 3:
+        return np.zeros_like(path[-1])
+    before, last = path[-2] - path[-3], path[-1] - path[-2]
+    along, square = float(before @ metric @ last), float(before @ metric @ before)
+    cosine = along / np.sqrt(max(square * float(last @ metric @ last), 1e-300))
+    if cosine < _AGREE:
+        return np.zeros_like(last)
+    ratio = min(along / square, _SHRINKS)
+    return ratio / (1 - ratio) * last
