@@ -89,7 +89,7 @@ def write(comparisons: Sequence[Comparison], curves: Sequence[dict], title: str,
 def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBundle:
     """The physics model of a JSON file or name, or the avatar in a folder or that comes along; raises
     :class:`CaphyError`."""
-    from caphy.commands.train import bundled
+    from caphy.commands.bundled import bundled
 
     path = Path(name)
     if (folder := bundled(path)).is_dir():

@@ -42,12 +42,13 @@ def main(arguments: list[str]) -> None:
     """Run ``caphy demo`` with the arguments after it."""
     command = tyro.cli(Demo, prog="caphy demo", args=arguments)
 
+    from caphy.commands.bundled import bundled
     from caphy.io.bundle import read_bundle
     from service.client import Client
     from service.settings import BUNDLED_AVATARS
 
     writable_folder(command.out).mkdir(parents=True, exist_ok=True)
-    folder = command.avatar or BUNDLED_AVATARS / "default"
+    folder = bundled(command.avatar) if command.avatar else BUNDLED_AVATARS / "default"
     bundle = read_bundle(folder)
     motion = _motion(command, bundle.fps)
     with _service(folder) as url:

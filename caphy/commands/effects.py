@@ -124,7 +124,7 @@ def _lines(rows: list[tuple[str, ...]]) -> list[str]:
 
 def _histories(path: Path) -> list[str]:
     """Lines about a model's history, or of each garment's of an avatar."""
-    from caphy.commands.train import bundled
+    from caphy.commands.bundled import bundled
     from caphy.effects.model import Model
 
     path = bundled(path)

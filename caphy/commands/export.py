@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
+from caphy.commands.bundled import bundled
 from caphy.errors import CaphyError
-from caphy.io.bundle import MANIFEST
+from caphy.io.bundle import MANIFEST, require_place
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
@@ -28,7 +29,8 @@ class Export:
     """
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Folders that 'caphy train' wrote, one per garment, innermost garment first; or one avatar bundle."""
+    """Folders that 'caphy train' wrote, one per garment, innermost garment first; or one avatar bundle ("default" is
+    the one that comes along)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The bundle to write, a folder; with --format, a file ending in .glb or .usdc, or a folder for pc2 and obj."""
     format: Literal["bundle", "glb", "usd", "pc2", "obj"] = "bundle"
@@ -48,8 +50,11 @@ class Export:
 def main(arguments: list[str]) -> None:
     """Run ``caphy export`` with the arguments after it."""
     command = tyro.cli(Export, prog="caphy export", args=arguments)
+    command = replace(command, runs=tuple(map(bundled, command.runs)))
     if command.format == "bundle" and command.poses is not None:
         raise CaphyError("--poses is a motion for other programs; say which with --format glb, usd, pc2 or obj")
+    if command.format == "bundle":
+        require_place(command.out)
     if command.format == "bundle" and len(command.runs) == 1 and (command.runs[0] / MANIFEST).is_file():
         _export_again(command)
     elif command.format == "bundle":

@@ -197,7 +197,7 @@ def _train(plan: Plan) -> None:
 def _like_the_default(plan: Plan, kind: str) -> bool:
     """Whether the default avatar wears anything like a garment, so that its training need not begin from nothing."""
     from caphy.body.model import BodyModel
-    from caphy.commands.train import bundled
+    from caphy.commands.bundled import bundled
     from caphy.garment.template import Garment
     from caphy.training.initial import read_likeness
 

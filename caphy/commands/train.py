@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from caphy.commands.bundled import bundled
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -291,13 +292,6 @@ def _found(options: Train) -> Train:
     body = own if options.body is None and own is not None and own.is_file() else options.body
     init, transfer = (None if path is None else bundled(path) for path in (options.init, options.transfer))
     return replace(options, garment=bundled(options.garment), init=init, transfer=transfer, body=body)
-
-
-def bundled(path: Path) -> Path:
-    """The bundled garment or avatar of that name, or the path itself."""
-    data = Path(__file__).parents[1] / "data"
-    bundled = [data / "garments" / f"{path}.npz", data / "avatars" / path]
-    return path if path.exists() else next((known for known in bundled if known.exists()), path)
 
 
 def _model(options: Train, initial: Initial | None) -> Model:

@@ -148,8 +148,7 @@ def write_bundle(bundle: AvatarBundle, folder: str | Path) -> None:
     Raises CaphyError where the bundle's arrays do not fit together, or ``folder`` holds something else.
     """
     folder = Path(folder)
-    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CaphyError(f"{folder}: exists and is no avatar bundle; choose another place or remove it")
+    require_place(folder)
     require_consistent(bundle, str(folder))
     files = {ARRAYS: _arrays_bytes(bundle), **{f"{g.name}.onnx": g.onnx for g in bundle.garments}}
     files[MANIFEST] = json.dumps(_manifest(bundle, files), indent=1, allow_nan=False).encode()
@@ -162,6 +161,12 @@ def write_bundle(bundle: AvatarBundle, folder: str | Path) -> None:
         _swap(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def require_place(folder: Path) -> None:
+    """Raise :class:`CaphyError` where a bundle would overwrite something else."""
+    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
+        raise CaphyError(f"{folder}: exists and is no avatar bundle; choose another place or remove it")
 
 
 def _swap(new: Path, folder: Path) -> None:

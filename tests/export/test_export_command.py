@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from shell_avatar import random_network, shell, wiggle
 
@@ -50,6 +51,20 @@ def test_two_runs_become_one_avatar(tmp_path, capsys):
     engine = GarmentEngine(bundle.garment("tshirt"))
     arrays = motion.poses.astype(np.float32), motion.transl.astype(np.float32)
     np.testing.assert_allclose(engine.run(*arrays, engine.initial_state())[0], network.stream(*arrays), atol=2e-5)
+
+
+def test_what_stands_in_the_way_is_told_before_anything_is_computed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("export.again.exported_again", lambda bundle: pytest.fail("computed in vain"))
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["export", "default", "-o", str(tmp_path / "notes.txt")]) == 2
+    assert "exists and is no avatar bundle" in capsys.readouterr().err
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_the_avatar_that_comes_along_has_a_name(tmp_path, monkeypatch):
+    monkeypatch.setattr("export.again.exported_again", lambda bundle: (bundle, {}))
+    assert main(["export", "default", "-o", str(tmp_path / "copy")]) == 0
+    assert [g.name for g in read_bundle(tmp_path / "copy").garments] == ["trousers", "tshirt"]
 
 
 def test_the_heads_error_is_stated_on_motions_held_out_of_training(tmp_path):

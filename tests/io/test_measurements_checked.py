@@ -124,6 +124,16 @@ def _folder(folder: Path, files: range, lines: str = "", pins: bool = True) -> P
     return folder
 
 
+def test_arrays_of_a_folder_that_tell_the_frames_again_are_refused(tmp_path):
+    folder = _folder(tmp_path / "m", range(3))
+    with np.load(folder / "arrays.npz") as known:
+        arrays = dict(known)
+    for key in ("vertices", "frame_index"):
+        np.savez(folder / "arrays.npz", **arrays, **{key: np.zeros((3, 4, 3))})
+        with pytest.raises(CaphyError, match=rf"arrays.npz: has {key}, which the frames' files tell"):
+            read_measurement(folder)
+
+
 def test_which_frame_is_the_first_is_asked_where_numbers_do_not_say(tmp_path):
     assert len(read_measurement(_folder(tmp_path / "all", range(3, 23)))) == 20
     with pytest.raises(CaphyError, match=r"numbered from 3 to 19, and pinned_positions has 20 frames.*first_frame = 3"):

@@ -167,6 +167,11 @@ def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:
         raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({error})") from error
+    if doubled := sorted(set(arrays) & {"vertices", "points", "offsets", "frame_index"}):
+        raise CaphyError(
+            f"{path}: has {', '.join(doubled)}, which the frames' files tell: a folder has one PLY or OBJ a frame, "
+            "numbered by its name; leave them out here, or give the npz itself as the measurement"
+        )
     if foreign := sorted(set(arrays) - set(ARRAYS)):
         raise CaphyError(
             f"{path}: has keys that nobody reads here: {', '.join(foreign)}; it may hold {', '.join(ARRAYS)}; "
