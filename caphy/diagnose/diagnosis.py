@@ -14,6 +14,7 @@ from caphy.diagnose.base import Base, base_of, checked_scenes
 from caphy.diagnose.checks import require_one_cloth
 from caphy.diagnose.groups import columns_of
 from caphy.diagnose.laws import settle_laws
+from caphy.diagnose.noticed import by_roll_outs, by_tangents
 from caphy.diagnose.outside import Outside, outside
 from caphy.diagnose.proof import each_proven
 from caphy.diagnose.rivals import settle_rivals
@@ -54,7 +55,8 @@ class Ranked:
         wald: squared estimate over squared error.
         linear: first estimate of each number.
         refitted: share of the misfit gone after the refit, where it was refitted.
-        noticed: smallest size of each number that would have been noticed here.
+        noticed: smallest size of each number that would have been noticed here, none where no size would: told by
+            roll-outs where nothing was named, else by tangents.
         units: of each number; "relative" of a change of what the model has.
     """
 
@@ -66,7 +68,7 @@ class Ranked:
     wald: float
     linear: dict[str, float]
     refitted: float | None
-    noticed: dict[str, float]
+    noticed: Mapping[str, float | None]
     units: dict[str, str]
 
 
@@ -223,7 +225,7 @@ def _concluded(
             for term in kept
             for other in similar[term.group.name]
         },
-        ranking=_ranking(found, base is not None),
+        ranking=_ranking(found, base is not None, study if verdict == "nothing" else None),
         coefficients=numbers if kept else {},
         model=_kept(found.model, start, kept) if kept else start,
         needed=first.needed,
@@ -310,20 +312,18 @@ def _median(responses) -> float:
     return 1e3 * float(np.nanmedian(np.concatenate([response.error.ravel() for response in responses])))
 
 
-def _ranking(found: Search, sure_of_parameters: bool) -> list[Ranked]:
+def _ranking(found: Search, sure_of_parameters: bool, study: Study | None) -> list[Ranked]:
+    """All explanations; with a study roll-outs tell what would have been noticed."""
     first = found.screens[0]
     tried = found.terms[0].tried if found.terms else {}
-    normal, _ = first.evidence.normal
     ranking = []
     for score in ranked(first.scores, sure_of_parameters):
-        place = first.places[score.group.label]
         names = [column.name for column in score.group.columns]
         needed = first.needed_by(score)
-        size = np.sqrt(needed * first.misfit / np.maximum(np.diag(normal)[place], 1e-300))
         label = score.group.label
         refitted = tried.get(label)
         linear = dict(zip(names, map(float, score.change), strict=True))
-        noticed = {name: float(s) for name, s in zip(names, size, strict=True) if np.isfinite(s) and s < 1e12}
+        noticed = by_tangents(first, score) if study is None else by_roll_outs(study, first, score)
         units = {c.name: "relative" if c.entry is None else c.unit for c in score.group.columns}
         of = score.group
         ranking.append(Ranked(label, of.name, of.own, score.gain, needed, score.wald, linear, refitted, noticed, units))

@@ -113,11 +113,15 @@ def _answer(diagnosis: Diagnosis) -> str:
             f"depends on {diagnosis.outside.best}{swings} takes away {gain:.0f} %, the best known effect "
             f"{100 * diagnosis.outside.library:.0f} %. Write it with: caphy effects new my_effect"
         )
-    limit = ", ".join(
-        f"{name} {value:.2g}{_unit(r.units[name])}"
+    listed = [
+        (name, value, _unit(r.units[name]))
         for r in diagnosis.ranking[:3]
         for name, value in list(r.noticed.items())[:1]
-    )
+    ]
+    sizes = ", ".join(f"{name} {value:.2g}{unit}" for name, value, unit in listed if value is not None)
+    never = [name for name, value, _ in listed if value is None]
+    limit = f" Noticed would have been, for example, {sizes}." if sizes else ""
+    limit += f" No size of {_listed(never)} would have been." if never else ""
     least = f"where {100 * best.needed:.1f} % are needed"
     if best.gain >= best.needed:
         least += ", and is not sure enough"
@@ -125,7 +129,7 @@ def _answer(diagnosis: Diagnosis) -> str:
         least = "but does not hold, as the notes say"
     return (
         f"Nothing is missing that these measurements could show: the best explanation ({best.label}) takes away "
-        f"{100 * best.gain:.1f} % of the misfit {least}. Noticed would have been, for example, {limit}."
+        f"{100 * best.gain:.1f} % of the misfit {least}.{limit}"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -147,6 +148,14 @@ class Study:
         """The same windows, of which nothing is known yet."""
         other = Study(self.scenes, self.length, self.progress, self.crew, self.mesh)
         other.starts = list(self.starts)
+        return other
+
+    def some(self, windows: Collection[int]) -> Study:
+        """Some of the windows, by their numbers among all; what is known of them holds."""
+        other, numbers = copy(self), iter(range(sum(map(len, self.starts))))
+        other.starts = [[start for start in starts if next(numbers) in windows] for starts in self.starts]
+        if self._expected is not None:
+            other._expected = [self._expected[number] for number in sorted(windows)]
         return other
 
     def registered_by(self, model: Model) -> Study:
