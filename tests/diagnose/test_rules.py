@@ -338,3 +338,35 @@ def test_what_is_left_after_an_effect_must_be_worth_a_further_one(left, flagged)
     assert (after.beats, after.after) == (flagged, ("mass_damping",))
     alone = probed(0.025, 0.002)
     assert outside(SimpleNamespace(screens=[alone], terms=[])).beats
+
+
+def test_the_race_is_run_on_by_those_that_may_still_come_near_the_best(monkeypatch):
+    """Share so far, what a further step promises of the misfit, whether it has arrived."""
+    runners = {
+        "pressure": (0.50, 0.00, False),
+        "hopeful": (0.20, 0.11, False),  # may take away twice as much
+        "behind": (0.20, 0.09, False),
+        "arrived": (0.45, 0.00, True),
+    }
+    ran = []
+
+    def fitted(study, found, score, rounds):
+        share, promise, converged = runners[score.group.label]
+        assert rounds <= search._HEATS
+        return SimpleNamespace(label=score.group.label, share=share, promise=promise, converged=converged)
+
+    def refined(study, fit, variance, weight, what, rounds):
+        assert rounds == search.ROUNDS - search._HEATS
+        ran.append(fit.label)
+        return SimpleNamespace(**vars(fit) | {"share": 0.9})
+
+    monkeypatch.setattr(search, "_fitted", fitted)
+    monkeypatch.setattr(search, "refined", refined)
+    last = SimpleNamespace(misfit=1.0, variance=None, evidence=SimpleNamespace(weight=None))
+    scores = [SimpleNamespace(group=SimpleNamespace(label=label)) for label in runners]
+    found = SimpleNamespace(screens=[last])
+    fits = search._raced(None, found, scores, search.ROUNDS)
+    assert ran == ["pressure", "hopeful"]
+    assert [fits[label].share for label in runners] == [0.9, 0.9, 0.2, 0.45]
+    assert not search._raced(None, found, scores, 1)["hopeful"].converged  # one step alone goes no further
+    assert ran == ["pressure", "hopeful"]
