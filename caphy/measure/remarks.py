@@ -7,9 +7,11 @@ from collections.abc import Iterable
 from caphy.io.measurements import Measurement
 from caphy.measure.noise import overstated
 from caphy.measure.pace import slowed
+from caphy.measure.size import misfitting
 
 
 def remarks(measurements: Iterable[Measurement]) -> list[str]:
-    """In words: of which frames some are left out, and whose stated noise the data do not show."""
+    """In words: of which frames some are left out, whose stated noise the data do not show, and whose
+    rest mesh is of another size."""
     given = list(measurements)
-    return [note for say in (slowed, overstated) for each in given if (note := say(each)) is not None]
+    return [note for say in (slowed, overstated, misfitting) for each in given if (note := say(each)) is not None]
