@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from caphy.effects.model import Model
     from caphy.io.measurements import Measurement
     from caphy.refit.crew import Crew
+    from caphy.refit.heldout import HeldOut
 
 
 PROOF = "before_after.html"
@@ -134,19 +135,20 @@ def write(diagnosis: Diagnosis, command: Diagnose, since: Model) -> None:
 
 def _with_history(diagnosis: Diagnosis, since: Model, command: Diagnose) -> Model:
     """The model that a diagnosis ends with, and what it changed in its history."""
-    held, new = diagnosis.held_out, diagnosis.model
+    new, base = diagnosis.model, diagnosis.base
     if new == since:
         return since
+    read = [path.stem for path in (*command.measurements, *command.base)]
+    found = "lacked " + " and ".join(diagnosis.found) if diagnosis.found else "parameters were off"
+    if base is not None and base.changed and new != base.model:
+        since = _revised(base.model, since, "base: parameters were off", read[-len(command.base) :], diagnosis.by_base)
+    return _revised(new, since, f"diagnosis: {found}", read, diagnosis.held_out)
+
+
+def _revised(new: Model, since: Model, note: str, data: Sequence[str], held: HeldOut | None) -> Model:
     errors = (None, None, None) if held is None else (held.before_mm, held.after_mm, held.floor_mm)
     before, after, floor = (None if error is None else error / 1e3 for error in errors)
-    return new.revised(
-        since,
-        f"diagnosis: {'lacked ' + ' and '.join(diagnosis.found) if diagnosis.found else 'parameters were off'}",
-        data=[path.stem for path in (*command.measurements, *command.base)],
-        error_before=before,
-        error_after=after,
-        floor=floor,
-    )
+    return new.revised(since, note, data=data, error_before=before, error_after=after, floor=floor)
 
 
 def next_command(verdict: str, found: Sequence[str], command: Diagnose, refitted: str = "refitted.json") -> list[str]:

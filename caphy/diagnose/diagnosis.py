@@ -88,7 +88,9 @@ class Diagnosis:
         needed: gain that an effect had to reach.
         windows: how many there were.
         median_mm: median distance over the windows before and after.
-        held_out: the same on held-out measurements, if there were any.
+        held_out: the same on held-out measurements, if there were any: of the model that base measurements leave, and
+            with what was added, or where nothing was, of the one that was given and the former.
+        by_base: likewise of the model that was given and the one that base measurements leave, where they differ.
         depends_on: what the force that is missing depends on, where no effect of the library explains it.
         seconds: what it took.
         search: everything behind it.
@@ -105,6 +107,7 @@ class Diagnosis:
     windows: int
     median_mm: tuple[float, float]
     held_out: HeldOut | None
+    by_base: HeldOut | None
     outside: Outside
     base: Base | None
     noise_mm: float | None
@@ -174,7 +177,7 @@ def diagnose(
     if known is None and found.fit is not None:
         found.fit = weighed_anew(study, found.fit)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
-    concluded = _concluded(found, study, start, known, apart, elsewhere)
+    concluded = _concluded(found, study, model, start, known, apart, elsewhere)
     notes = (*concluded.notes, *remarks((*measurements, *trusted, *held_out)))
     return replace(concluded, notes=notes, seconds=time.perf_counter() - began)
 
@@ -182,6 +185,7 @@ def diagnose(
 def _concluded(
     found: Search,
     study: Study,
+    given: Model,
     start: Model,
     base: Base | None,
     apart: Apart | None,
@@ -215,6 +219,9 @@ def _concluded(
     elif base is not None and base.changed:
         verdict = "parameters"
     kept = terms if verdict in ("named", "parameters") else []
+    by_base = None if apart is None or base is None or not base.changed else apart.between(given, start)
+    if not kept:
+        errors = by_base if by_base is not None else errors and errors.unchanged
     similar = {term.group.name: alike(found, term) for term in kept}
     return Diagnosis(
         verdict=verdict,
@@ -232,6 +239,7 @@ def _concluded(
         windows=len(first.responses),
         median_mm=(_median(before), _median(found.fit.responses if kept and found.fit else before)),
         held_out=errors,
+        by_base=by_base,
         outside=elsewhere,
         base=base,
         noise_mm=max(study.floors_mm, default=None),

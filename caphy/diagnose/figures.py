@@ -90,6 +90,9 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.base is not None and diagnosis.base.changed:
         moved = ", ".join(f"{name} {100 * by:+.3g} %" for name, by in diagnosis.base.changed.items())
         said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
+    if diagnosis.by_base is not None:
+        held = diagnosis.by_base
+        said.append(f"By that the held-out median went from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
     return said + [f"Note: {note}." for note in diagnosis.notes]
 
 

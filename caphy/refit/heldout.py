@@ -51,6 +51,11 @@ class HeldOut:
     few: Few | None = None
 
     @property
+    def unchanged(self) -> HeldOut:
+        """Where the model stays as it was after all."""
+        return replace(self, after_mm=self.before_mm, after=self.before, share=0.0, share_error=0.0, few=None)
+
+    @property
     def sign_test(self) -> float:
         """Probability of at least as many windows' medians falling, where each falls or rises by chance."""
         fallen = int((self.after < self.before).sum())
@@ -110,13 +115,29 @@ class Apart:
         last = from_the_end(fitted.columns, fitted.change)
         after = tamed(evidence(new, self.variance, before.weight), before)
         gone, error = share_gone(before, after, fitted.change, last)
+        rare = where_few_decide(before, known, self.variance, fitted.change)
+        return self._held_out(old, new, gone, error, rare)
+
+    def between(self, before: Model, after: Model) -> HeldOut:
+        """Roll out two models of which nothing else is known; their misfits are compared as they are."""
+        study, _ = self._before[1:] if self._before is not None else (self.study.afresh(), None)
+        new = study.respond(after, (), "held-out windows")
+        old = study.respond(before, (), "held-out windows")
+        was, now = (evidence(picked(each, ()), self.variance) for each in (old, new))
+        weight = robust_weights(was)
+        fell, whole = weight * (was.c - now.c), float((weight * was.c).sum())
+        error = np.sqrt(len(fell)) * fell.std(ddof=1) / whole if len(fell) > 1 else np.inf
+        return self._held_out(old, new, float(fell.sum()) / whole, float(error))
+
+    def _held_out(
+        self, old: Sequence[Response], new: Sequence[Response], gone: float, error: float, few: Few | None = None
+    ) -> HeldOut:
         errors = [[1e3 * response.error for response in each] for each in (old, new)]
         medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
         floors = self.study.floors_mm
         floor = float(np.median(floors)) if floors else None
-        rare = where_few_decide(before, known, self.variance, fitted.change)
-        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error, rare)
+        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error, few)
 
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from explicit_cloth import clouds, measured, seen, simulate
 
 from caphy.cli import main
 from caphy.commands import diagnose as commands
+from caphy.commands.diagnose import Diagnose, _with_history
 from caphy.diagnose.base import checked_scenes, from_base
 from caphy.diagnose.diagnosis import Diagnosis, _concluded, diagnose
 from caphy.diagnose.figures import figures, sentences
@@ -132,10 +134,21 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     found = diagnose(stiff, dragged[:1], known, dragged[1:])
     assert found.found == ("mass_damping",)
     assert abs(found.coefficients["mass_damping.rate"].value - 3.0) < 0.3
-    without = diagnose(stiff, [taken(3)], known)
+    assert found.by_base is not None and found.held_out is not None
+    assert found.held_out.before_mm == pytest.approx(found.by_base.after_mm, rel=1e-3)
+    asked = Diagnose("stiff.json", (Path("after.npz"),), Path("out"), base=(Path("before.npz"),))
+    first, second = _with_history(found, stiff, asked).history
+    assert (first.note, second.note) == ("base: parameters were off", "diagnosis: lacked mass_damping")
+    assert (first.data, second.added) == (("before",), ("mass_damping",))
+    assert second.error_after < second.error_before == pytest.approx(first.error_after, rel=1e-3)
+    without = diagnose(stiff, [taken(3)], known, [plain])
     assert (without.verdict, without.found, without.coefficients) == ("parameters", (), {})
     assert abs(without.model.effects["strain_stvk"]["lame_mu"] / 11.1 - 1) < 0.05
-    answer, *_, moved = sentences(without)
+    assert without.held_out is without.by_base is not None
+    assert without.held_out.after_mm < 0.9 * without.held_out.before_mm and without.held_out.share > 0.1
+    (revision,) = _with_history(without, stiff, asked).history
+    assert revision.error_after == 1e-3 * without.held_out.after_mm
+    answer, *_, moved, _ = sentences(without)
     assert answer == "No effect is missing: the parameters of strain_stvk are off."
     assert "lame_mu" in moved
     again = refit(stiff, dragged[:1], ("mass_damping",), dragged[1:], learned=known)
@@ -251,7 +264,7 @@ def test_what_clouds_tell_is_told_by_those_registered_again(named, apart, dragge
 
     for module in ("caphy.diagnose.diagnosis", "caphy.refit.refit"):
         monkeypatch.setattr(f"{module}.fitted_again", again)
-    found = _concluded(replace(named.search), named.study, MODEL, None, apart, named.outside)
+    found = _concluded(replace(named.search), named.study, MODEL, MODEL, None, apart, named.outside)
     refitted_to = refit(MODEL, dragged[:1], (HIDDEN,), dragged[1:])
     told = found.coefficients[f"{HIDDEN}.rate"].value, refitted_to.coefficients[f"{HIDDEN}.rate"][0]
     for rate, value, model, held in zip(
@@ -277,12 +290,13 @@ def test_what_clouds_registered_again_do_not_tell_is_taken_back(named, apart, dr
 
     for module in ("caphy.diagnose.diagnosis", "caphy.refit.refit"):
         monkeypatch.setattr(f"{module}.fitted_again", again)
-    found = _concluded(replace(named.search), named.study, MODEL, None, apart, named.outside)
+    found = _concluded(replace(named.search), named.study, MODEL, MODEL, None, apart, named.outside)
     assert (found.verdict, found.found, found.coefficients) == ("nothing", (), {})
     assert found.model is MODEL
     assert any(f"{HIDDEN} was taken back" in note for note in found.notes)
     assert "of the misfit but does not hold, as the notes say." in sentences(found)[0]
     assert found.median_mm[0] == found.median_mm[1]
+    assert found.held_out is not None and found.held_out.before_mm == found.held_out.after_mm
     refused = refit(MODEL, dragged[:1], (HIDDEN,), dragged[1:])
     assert refused.kept == () and refused.model is MODEL
     assert "refused" in refused.reason
