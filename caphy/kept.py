@@ -54,8 +54,12 @@ class Kept:
 def _sources(effect_files: Sequence[Path]) -> list[bytes]:
     """The code of caphy, and what the user's effects follow from."""
     own = sorted(Path(caphy.__file__).parent.rglob("*.py"))
-    theirs = sorted({file for effect in effect_files for file in sources(effect)})
-    return [file.read_bytes() for file in (*own, *theirs)]
+    return [*(file.read_bytes() for file in own), *code(effect_files)]
+
+
+def code(effect_files: Sequence[Path]) -> list[bytes]:
+    """What the user's effects, which were registered before, follow from."""
+    return [file.read_bytes() for file in sorted({file for effect in effect_files for file in sources(effect)})]
 
 
 def digest(*values: object) -> str:

@@ -7,10 +7,11 @@ import os
 import sys
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from caphy.commands.begun import OPTIONS, option, require_same, write_record
 from caphy.commands.bundled import bundled
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
@@ -31,9 +32,6 @@ FPS = 30.0
 PROCEDURAL = tuple(range(12))
 """Seeds of the motions trained on where none are given; the last two are held out."""
 
-
-OPTIONS = "options.json"
-"""What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
 
 BODY_EFFECTS = ("body_contact", "attachment")
 """What keeps a garment off its body, and on it."""
@@ -117,8 +115,10 @@ def main(arguments: list[str]) -> int | None:
 
 def _run(options: Train) -> int:
     trainer = prepare(options)
-    if options.resume:
-        trainer.resume()
+    if trainer.done:
+        if trainer.rank == 0:
+            print(f"{options.output} has had {trainer.progress.step} steps already; for more give --steps or --minutes")
+        return 0
     try:
         trainer.run()
     except KeyboardInterrupt:
@@ -135,6 +135,8 @@ def _check(options: Train) -> None:
         raise CaphyError("give either --fabric or --model, not both")
     if options.init and options.transfer:
         raise CaphyError("give either --init, to go on with a network, or --transfer, to begin as another's, not both")
+    if not 0 <= options.seed < 1 << 63:
+        raise CaphyError(f"--seed must be from 0 to 2^63 - 1, got {options.seed}")
     if options.made_up < 0:
         raise CaphyError(f"--made-up must not be negative, got {options.made_up}")
     if not options.physics and options.scans is None:
@@ -181,8 +183,6 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     from caphy.training.objective import Objective
     from caphy.training.validate import SHORTEST
 
-    if not 0 <= options.seed < 1 << 63:
-        raise CaphyError(f"--seed must be from 0 to 2^63 - 1, got {options.seed}")
     _take_device(options.device)
     torch.manual_seed(options.seed)
     for file in options.effect_file:
@@ -213,9 +213,10 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     scans = _scans(options, garment, objective, network)
     trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed, scans=scans)
     if options.resume and record:
-        _require_same(options, garment, trained)
-    if trainer.rank == 0 and record:
-        _record(options, shape, initial, garment, model, trained, held_out)
+        require_same(options, garment, model, trained)
+        trainer.resume()
+    if trainer.rank == 0 and record and not trainer.done:
+        write_record(options, shape, initial, garment, model, fps, trained, held_out)
         _tell(trainer, garment, initial, trained, held_out)
     return trainer
 
@@ -270,18 +271,11 @@ def reopen(folder: Path) -> Trainer:
     try:
         given = json.loads(path.read_text())
         known = [f for f in fields(Train) if f.name in given]
-        options = Train(**{f.name: _option(f.type, given[f.name], folder.resolve()) for f in known})
+        options = Train(**{f.name: option(f.type, given[f.name], folder.resolve()) for f in known})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
     on = replace(options, output=folder, init=folder, transfer=None, fabric=None, model=folder / "model.json")
     return prepare(on, record=False)
-
-
-def _option(kind: Any, value: Any, folder: Path) -> Any:
-    """An option read from a folder's JSON, where paths are text, maybe relative to it, and tuples are lists."""
-    if isinstance(value, list):
-        return tuple(_option(kind, one, folder) for one in value)
-    return Path(os.path.normpath(folder / value)) if isinstance(value, str) and "Path" in str(kind) else value
 
 
 def _found(options: Train) -> Train:
@@ -342,77 +336,3 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
         last, cut = clips[-1], max(1, int(0.8 * len(clips[-1])))
         return [*clips[:-1], last[:cut], *extra], [last[cut:] if cut < len(last) else last]
     return [clip for i, clip in enumerate(clips) if i % 6 != 5] + extra, clips[5::6]
-
-
-def _told(options: Train) -> dict[str, Any]:
-    """Options ready for JSON. Where the folder lies in the run that ``--scans`` names, paths within that run are
-    relative to the folder, so that the run may be moved."""
-    folder, run = options.output.resolve(), None if options.scans is None else options.scans.resolve()
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return [plain(one) for one in value]
-        if not isinstance(value, Path):
-            return value
-        within = run is not None and folder.is_relative_to(run) and value.resolve().is_relative_to(run)
-        return os.path.relpath(value.resolve(), folder) if within else str(value.resolve())
-
-    return {field.name: plain(getattr(options, field.name)) for field in fields(Train)}
-
-
-def _require_same(options: Train, garment: Garment, trained: list[PoseSequence]) -> None:
-    """Raise CaphyError where a training would go on otherwise than it began: its record would be wrong of one part."""
-    from caphy.garment.template import Garment
-
-    try:
-        before = json.loads((options.output / OPTIONS).read_text())
-        clips = json.loads((options.output / "run.json").read_text())["trained_on"]
-        worn = Garment.load(options.output / "garment.npz")
-    except (OSError, ValueError, KeyError, CaphyError):
-        return  # nothing was begun there, which the checkpoint's absence tells
-    now, folder = _told(options), options.output.resolve()
-    may = {"resume", "output", "minutes", "steps", "device", "poses", "garment", "effect_file"}
-    both = [
-        (field.name, *(_option(field.type, given[field.name], folder) for given in (before, now)))
-        for field in fields(Train)
-        if field.name in before and field.name not in may
-    ]
-    other = [(name, was, given) for name, was, given in both if was != given]
-    if other:
-        name, was, given = other[0]
-        what = f"with --{name.replace('_', '-')} {was}, not {given}"
-    elif worn.vertices.shape != garment.vertices.shape or not (worn.faces == garment.faces).all():
-        what = f"on another garment, of {len(worn.vertices)} vertices"
-    elif clips != [Path(clip.source).name for clip in trained]:
-        what = f"on other motions, {len(clips)} in all, not {len(trained)}"
-    else:
-        return
-    raise CaphyError(f"{options.output}: was begun {what}; go on with the same, or begin anew in another folder")
-
-
-def _record(
-    options: Train, shape: tuple[float, ...], initial: Initial | None, garment: Garment, model: Model,
-    trained: list[PoseSequence], held_out: list[PoseSequence],
-) -> None:  # fmt: skip
-    """Put beside the network what the export needs, and what a reader wants to know of its making."""
-    garment.save(options.output / "garment.npz")
-    (options.output / "model.json").write_text(model.to_json() + "\n")
-    (options.output / OPTIONS).write_text(json.dumps(_told(options), indent=2))
-    record = {
-        "format": "caphy-run-1",
-        "fps": FPS if initial is None else initial.network.fps,
-        "seed": options.seed,
-        "body": None if options.body is None else str(options.body),
-        "betas": list(shape),
-        "init": None if initial is None else dict(initial.record),
-        "fabric": options.fabric,
-        "minutes": options.minutes,
-        "steps": options.steps,
-        "trained_on": [Path(clip.source).name for clip in trained],
-        "held_out": [Path(clip.source).name for clip in held_out],
-        "scans": None if options.scans is None else options.scans.resolve().name,
-        "lambda_3d": options.lambda_3d,
-        "physics": options.physics,
-        "held_out_paths": [clip.source for clip in held_out],
-    }
-    (options.output / "run.json").write_text(json.dumps(record, indent=2) + "\n")

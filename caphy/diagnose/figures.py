@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from caphy.diagnose.diagnosis import Coefficient, Diagnosis
+from caphy.diagnose.noticed import LISTED
 from caphy.effects.registry import find_effect
 
 _LISTED = 12
@@ -118,7 +119,7 @@ def _answer(diagnosis: Diagnosis) -> str:
         )
     listed = [
         (name, value, _unit(r.units[name]))
-        for r in diagnosis.ranking[:3]
+        for r in diagnosis.ranking[:LISTED]
         for name, value in list(r.noticed.items())[:1]
     ]
     sizes = ", ".join(f"{name} {value:.2g}{unit}" for name, value, unit in listed if value is not None)

@@ -138,6 +138,11 @@ class Search:
         return self.screens[0].model if self.fit is None else self.fit.model
 
 
+def least_wald(sure_of_parameters: bool) -> float:
+    """Squared estimate over squared error that an effect must reach."""
+    return LEAST_WALD_OVER_BASE if sure_of_parameters else LEAST_WALD
+
+
 def search(
     study: Study,
     model: Model,
@@ -281,7 +286,7 @@ def finalists(last: Screen, sure_of_parameters: bool = False, first: bool = True
         library = max((score.gain for score in beyond if not score.group.own), default=0.0)
         own = OWN * library if first else np.inf
         beyond = [score for score in beyond if not score.group.own or score.gain >= own]
-    wald = LEAST_WALD_OVER_BASE if sure_of_parameters else LEAST_WALD
+    wald = least_wald(sure_of_parameters)
     sure = [score for score in beyond if score.wald >= wald]
     return [score for score in sure if score.gain >= _CLOSE * sure[0].gain][:FINALISTS]
 

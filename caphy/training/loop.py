@@ -195,6 +195,11 @@ class Trainer:
             last = time.monotonic() if saved > now else now
         self.save()
 
+    @property
+    def done(self) -> bool:
+        """Whether the schedule leaves nothing to do."""
+        return self._share_done() >= 1
+
     def _share_done(self) -> float:
         return self._common(self.schedule.done(self.progress.step, self.progress.seconds))
 

@@ -9,6 +9,8 @@ import pytest
 from small_world import swaying, tube
 
 from caphy.cli import main
+from caphy.effects.presets import snug_model
+from caphy.effects.scaffold import write_scaffold
 from caphy.io.poses import write_poses
 from caphy.network.files import load_network
 
@@ -46,6 +48,35 @@ def test_trains_and_says_what_it_wrote(inputs, capsys):
     assert train(inputs) == 2
     assert "--resume" in capsys.readouterr().err
     assert train(inputs, "--resume") == 0
+    assert "has had 2 steps already" in capsys.readouterr().out
+    assert json.loads((run / "metrics.jsonl").read_text().splitlines()[-1]) == last  # nothing was done again
+    assert train(inputs, "--resume", "--steps", "1") == 0  # nor does its record say that less was done
+    assert json.loads((run / "run.json").read_text())["steps"] == 2
+
+
+def test_goes_on_only_with_what_it_began_with(inputs, capsys):
+    """The same paths, of which one holds something else by now."""
+    model, file, motion = inputs / "model.json", inputs / "mine.py", inputs / "motions" / "1.npz"
+    model.write_text(snug_model().to_json())
+    write_scaffold("my_resumed_pull", file)
+    arguments = "--model", str(model), "--effect-file", str(file), "--resume", "--steps", "3"
+    assert train(inputs, *arguments[:4]) == 0
+    kept = {path: path.read_bytes() for path in (model, file, motion)}
+    model.write_text(snug_model().with_effect("strain_stvk", lame_mu=33.3).to_json())
+    for path, says in (
+        (model, "under another model"),
+        (file, "with other effect files"),
+        (motion, "with other motions"),
+    ):
+        if path == file:
+            file.write_text(kept[file].decode() + "# changed\n")
+        elif path == motion:
+            write_poses(swaying(30, 7), motion)
+        assert train(inputs, *arguments) == 2
+        assert f"was begun {says}" in capsys.readouterr().err
+        path.write_bytes(kept[path])
+    assert train(inputs, *arguments) == 0
+    assert json.loads((inputs / "run" / "run.json").read_text())["steps"] == 3
 
 
 @pytest.mark.parametrize(
@@ -89,16 +120,18 @@ def test_another_training_is_not_gone_on_with(inputs, capsys):
 
 
 def test_what_lies_in_the_run_is_remembered_so_that_it_may_be_moved(tmp_path):
-    from caphy.commands.train import Train, _option, _told
+    from caphy.commands.begun import option
+    from caphy.commands.begun import told as remembered
+    from caphy.commands.train import Train
 
     run, walk = tmp_path / "run", tmp_path / "walk.npz"
-    told = _told(Train(run / "upper.npz", (walk,), run / "train" / "upper", scans=run, body=run / "body.npz"))
+    told = remembered(Train(run / "upper.npz", (walk,), run / "train" / "upper", scans=run, body=run / "body.npz"))
     assert (told["garment"], told["body"], told["scans"]) == ("../../upper.npz", "../../body.npz", "../..")
     assert told["poses"] == [str(walk)]
     moved = tmp_path / "elsewhere" / "train" / "upper"
-    assert _option("Path", told["garment"], moved) == tmp_path / "elsewhere" / "upper.npz"
-    assert _option("tuple[Path, ...]", told["poses"], moved) == (walk,)
-    alone = _told(Train(tmp_path / "tube.npz", (walk,), tmp_path / "alone"))
+    assert option("Path", told["garment"], moved) == tmp_path / "elsewhere" / "upper.npz"
+    assert option("tuple[Path, ...]", told["poses"], moved) == (walk,)
+    alone = remembered(Train(tmp_path / "tube.npz", (walk,), tmp_path / "alone"))
     assert alone["garment"] == str(tmp_path / "tube.npz")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from caphy.diagnose.groups import Group
 from caphy.diagnose.noticed import by_roll_outs, by_tangents
-from caphy.diagnose.screen import Score
+from caphy.diagnose.screen import Score, covariance
 from caphy.effects.model import Model
 from caphy.errors import Diverged
 from caphy.refit.columns import addition
@@ -74,31 +74,37 @@ def screen(needed: float = 0.1):
 
 
 NAME = COLUMNS[0].name
-LEAST = by_tangents(screen(), SCORE)[NAME]
+WALD = 16.0
+LEAST = by_tangents(screen(), SCORE, WALD)[NAME]
 
 
-def test_tangents_tell_the_size_that_gains_what_is_needed():
-    known = screen().evidence
-    assert LEAST**2 * known.normal[0][1, 1] == pytest.approx(0.1 * known.c.sum())
+def test_what_tangents_tell_is_noticed_wherever_noise_shifts_it():
+    """It gains what is needed and is sure enough even where noise takes 1.645 errors from it."""
+    known, found = screen().evidence, screen(0.01)
+    size = by_tangents(found, SCORE, WALD)[NAME]
+    normal, right = known.picked([1]).normal
+    error = float(np.sqrt(covariance(known.picked([1]), right / normal[0, 0])[0, 0]))
+    assert size == pytest.approx(max(np.sqrt(0.01 * known.c.sum() / normal[0, 0]), 4 * error) + 1.645 * error)
+    assert by_tangents(screen(4.0), SCORE, WALD)[NAME] > 1.5 * LEAST > 1.5 * size
 
 
 def test_what_grows_evenly_is_noticed_as_tangents_say():
     windows = Windows(lambda size: size)
-    assert by_roll_outs(windows, screen(), SCORE) == {NAME: pytest.approx(LEAST)}
+    assert by_roll_outs(windows, screen(), SCORE, WALD) == {NAME: pytest.approx(LEAST)}
     assert len(windows.rolled) == 1
-    assert windows.windows == [4, 5, 6]  # those in which it does most
+    assert windows.windows == [2, 3, 4, 5, 6]  # those in which it does most
 
 
 def test_what_grows_less_and_less_needs_more():
     windows = Windows(lambda size: size / (1 + size / (3 * LEAST)))
-    found = by_roll_outs(windows, screen(), SCORE)[NAME]
+    found = by_roll_outs(windows, screen(), SCORE, WALD)[NAME]
     assert found is not None
     assert 0.9 * LEAST <= windows.does(found) < 1.2 * LEAST
 
 
 def test_what_stops_growing_is_noticed_at_no_size():
     windows = Windows(lambda size: LEAST * np.tanh(size / LEAST) / 1.5)
-    assert by_roll_outs(windows, screen(), SCORE) == {NAME: None}
+    assert by_roll_outs(windows, screen(), SCORE, WALD) == {NAME: None}
     assert max(windows.rolled) <= 10 * LEAST
 
 
@@ -106,9 +112,9 @@ def test_nor_is_what_it_may_not_have_or_what_tears_the_cloth():
     def torn(size: float) -> float:
         raise Diverged("cloth flies apart")
 
-    assert by_roll_outs(Windows(torn), screen(), SCORE) == {NAME: None}
+    assert by_roll_outs(Windows(torn), screen(), SCORE, WALD) == {NAME: None}
     most = COLUMNS[0].declared.upper
     needed = 0.1 * (2 * most / LEAST) ** 2  # so much that twice the most would be needed
     windows = Windows(lambda size: size)
-    assert by_roll_outs(windows, screen(needed), SCORE) == {NAME: None}
+    assert by_roll_outs(windows, screen(needed), SCORE, WALD) == {NAME: None}
     assert not windows.rolled

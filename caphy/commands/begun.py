@@ -1,0 +1,129 @@
+"""What a training was begun with, beside its network: for the export and readers, and so that it goes on alike."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from caphy.errors import CaphyError
+from caphy.io.places import write_text
+
+if TYPE_CHECKING:
+    from caphy.commands.train import Train
+    from caphy.effects.model import Model
+    from caphy.garment.template import Garment
+    from caphy.io.poses import PoseSequence
+    from caphy.training.initial import Initial
+
+OPTIONS = "options.json"
+"""What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
+
+GARMENT, MODEL, RECORD, CONTENTS = "garment.npz", "model.json", "run.json", "contents"
+
+
+def option(kind: Any, value: Any, folder: Path) -> Any:
+    """An option read from a folder's JSON, where paths are text, maybe relative to it, and tuples are lists."""
+    if isinstance(value, list):
+        return tuple(option(kind, one, folder) for one in value)
+    return Path(os.path.normpath(folder / value)) if isinstance(value, str) and "Path" in str(kind) else value
+
+
+def told(options: Train) -> dict[str, Any]:
+    """Options ready for JSON. Where the folder lies in the run that ``--scans`` names, paths within that run are
+    relative to the folder, so that the run may be moved."""
+    folder, run = options.output.resolve(), None if options.scans is None else options.scans.resolve()
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return [plain(one) for one in value]
+        if not isinstance(value, Path):
+            return value
+        within = run is not None and folder.is_relative_to(run) and value.resolve().is_relative_to(run)
+        return os.path.relpath(value.resolve(), folder) if within else str(value.resolve())
+
+    return {field.name: plain(getattr(options, field.name)) for field in fields(options)}
+
+
+def contents(options: Train, trained: Sequence[PoseSequence]) -> dict[str, str]:
+    """Digests of what options name by path alone: motions, the code of own effects, and the points of scans."""
+    from caphy.kept import code, digest
+    from caphy.register.points import read_points
+
+    read = [(clip.poses, clip.transl, clip.fps) for clip in trained if Path(clip.source).is_file()]
+    found = {"motions": digest(read), "effect files": digest(code(options.effect_file))}
+    return found if options.scans is None else found | {"scans": digest(read_points(options.scans, "train"))}
+
+
+def require_same(options: Train, garment: Garment, model: Model, trained: Sequence[PoseSequence]) -> None:
+    """Raise CaphyError where a training would go on otherwise than it began: its record would be wrong of one part."""
+    try:
+        before = json.loads((options.output / OPTIONS).read_text())
+        clips = json.loads((options.output / RECORD).read_text())["trained_on"]
+        what = _parted(options, garment, model, trained, before, clips)
+    except (OSError, ValueError, KeyError):
+        return  # nothing was begun there, which the checkpoint's absence tells
+    if what:
+        raise CaphyError(f"{options.output}: was begun {what}; go on with the same, or begin anew in another folder")
+
+
+def _parted(
+    options: Train, garment: Garment, model: Model, trained: Sequence[PoseSequence], before: dict, clips: list[str]
+) -> str:
+    """With what else a training was begun, in words; empty where all is the same."""
+    from caphy.effects.model import Model
+    from caphy.garment.template import Garment
+
+    now, folder = told(options), options.output.resolve()
+    may = {"resume", "output", "minutes", "steps", "device", "poses", "garment", "effect_file"}
+    for field in fields(options):
+        if field.name in before and field.name not in may:
+            was, given = (option(field.type, values[field.name], folder) for values in (before, now))
+            if was != given:
+                return f"with --{field.name.replace('_', '-')} {was}, not {given}"
+    worn, names = Garment.load(options.output / GARMENT), [Path(clip.source).name for clip in trained]
+    if worn.vertices.shape != garment.vertices.shape or not (worn.faces == garment.faces).all():
+        return f"on another garment, of {len(worn.vertices)} vertices"
+    if not np.allclose(worn.vertices, garment.vertices, rtol=0, atol=1e-6):
+        return "on a garment of the same mesh and another shape"
+    if clips != names:
+        one = next((name for name in (*clips, *names) if name not in clips or name not in names), "in another order")
+        return f"on other motions, {len(clips)} in all, not {len(names)} ({one})"
+    if Model.load(options.output / MODEL) != model:
+        return f"under another model, kept in {options.output / MODEL}"
+    was, given = before.get(CONTENTS, {}), contents(options, trained)
+    other = [name for name in was if name in given and was[name] != given[name]]
+    return f"with other {' and '.join(other)}, which have changed since" if other else ""
+
+
+def write_record(
+    options: Train, shape: tuple[float, ...], initial: Initial | None, garment: Garment, model: Model, fps: float,
+    trained: Sequence[PoseSequence], held_out: Sequence[PoseSequence],
+) -> None:  # fmt: skip
+    """Put beside the network what the export needs, and what a reader wants to know of its making."""
+    garment.save(options.output / GARMENT)
+    write_text(options.output / MODEL, model.to_json() + "\n")
+    write_text(options.output / OPTIONS, json.dumps({**told(options), CONTENTS: contents(options, trained)}, indent=2))
+    record = {
+        "format": "caphy-run-1",
+        "fps": fps,
+        "seed": options.seed,
+        "body": None if options.body is None else str(options.body),
+        "betas": list(shape),
+        "init": None if initial is None else dict(initial.record),
+        "fabric": options.fabric,
+        "minutes": options.minutes,
+        "steps": options.steps,
+        "trained_on": [Path(clip.source).name for clip in trained],
+        "held_out": [Path(clip.source).name for clip in held_out],
+        "scans": None if options.scans is None else options.scans.resolve().name,
+        "lambda_3d": options.lambda_3d,
+        "physics": options.physics,
+        "held_out_paths": [clip.source for clip in held_out],
+    }
+    write_text(options.output / RECORD, json.dumps(record, indent=2) + "\n")
