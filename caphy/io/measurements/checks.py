@@ -9,6 +9,7 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.io.measurements.body_checks import require_body
 from caphy.io.measurements.measurement import Measurement
+from caphy.io.measurements.pin_checks import require_pins
 
 SIZE: Final = (0.02, 10.0)
 """Diagonal [m] that a piece of cloth may have in one frame."""
@@ -25,6 +26,10 @@ TURNS: Final = 0.9
 path, 1 for shuffled frames."""
 HALTED: Final = 1e-3
 """Mean step [m] before and after a frame between which a cloth does not stand perfectly still."""
+JUMP: Final = 0.05
+"""Share of a cloth's size by which the median vertex of a frame is away from the middle between its neighbours ..."""
+VIOLENT: Final = 200.0
+"""... and the acceleration [m/s^2] which that is, that no cloth has."""
 TORN: Final = 4.0
 """Ratio of the longest tenth of one frame's edges to the shortest, over their lengths at rest, that no cloth has."""
 FAR: Final = 3.0
@@ -50,7 +55,8 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
         _require_same_mesh(measurement)
         _require_no_repeats(measurement)
         _require_order(measurement)
-        _require_pins(measurement)
+        _require_no_jump(measurement)
+        require_pins(measurement)
     else:
         _require_ordered_clouds(measurement)
     require_body(measurement, axes_stated)
@@ -310,20 +316,29 @@ def _require_ordered_clouds(measurement: Measurement) -> None:
         )
 
 
-def _require_pins(measurement: Measurement) -> None:
-    """Held vertices that were seen must lie where the pins are."""
-    if measurement.pinned is None or measurement.pinned_positions is None or measurement.vertices is None:
+def _require_no_jump(measurement: Measurement) -> None:
+    """No single frame lies elsewhere than those around it, or is of another size or order."""
+    frames = measurement.seen_frames
+    if len(frames) < 6 or measurement.vertices is None:
         return
-    away = np.linalg.norm(measurement.vertices[:, measurement.pinned] - measurement.pinned_positions, axis=-1)
-    if not np.isfinite(away).any():
+    x = measurement.vertices[frames]
+    between = np.linalg.norm(x[1:-1] - 0.5 * (x[:-2] + x[2:]), axis=-1)
+    known = np.isfinite(between).any(axis=1) & (np.diff(frames)[:-1] == 1) & (np.diff(frames)[1:] == 1)
+    away = np.zeros(len(between))
+    away[known] = np.nanmedian(between[known], axis=1)
+    worst = int(np.argmax(away))
+    if away[worst] < JUMP * _size(measurement) or 2 * away[worst] * measurement.fps**2 < VIOLENT:
         return
-    middle, size = float(np.nanmedian(away)), _size(measurement)
-    if middle > max(0.05 * size, 0.01):
-        raise _error(
-            measurement,
-            f"the pinned vertices were measured {1000 * middle:.0f} mm from pinned_positions; check the order of "
-            "'pinned', the unit, the axes, and that both were recorded at the same times",
-        )
+    place, by = worst + 1, away[worst]
+    if worst == 0 and away[1] < 0.25 * by:  # it is the first frame that is wrong, not the second
+        place, by = 0, 2 * by
+    elif worst == len(away) - 1 and away[-2] < 0.25 * by:
+        place, by = len(frames) - 1, 2 * by
+    raise _error(
+        measurement,
+        f"frame {frames[place]} lies elsewhere than the frames around it say, by {by:.2g} m in the median of its "
+        "vertices; put its unit, place and order right, or leave it empty (NaN)",
+    )
 
 
 def _require_hanging(measurement: Measurement) -> None:
