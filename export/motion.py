@@ -63,3 +63,5 @@ def write_whole(path: Path, content: bytes) -> None:
         partial.replace(path)
     except OSError as error:
         raise CaphyError(f"{path}: cannot be written ({error.strerror}); choose another place with --out") from error
+    finally:
+        partial.unlink(missing_ok=True)

@@ -23,11 +23,13 @@ SUFFIXES = (".usdc", ".usda", ".usd")
 def write_usd(motion: DressedMotion, path: Path) -> Path:
     """Write a stage with metres, y up, and the avatar's frame rate as its time codes; whole or not at all.
 
-    Raises CaphyError where usd-core is not installed, or the name does not end in .usdc, .usda or .usd.
+    Raises CaphyError where usd-core is not installed, or the name is a folder's or does not end in .usdc, .usda, .usd.
     """
     usd = _pxr("Usd")
     if path.suffix not in SUFFIXES:
         raise CaphyError(f"{path}: a USD file's name must end in {', '.join(SUFFIXES)}")
+    if path.is_dir():
+        raise CaphyError(f"{path}: is a folder; choose another name")
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     partial.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from caphy.capture.optics import Optics
+from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -63,7 +64,7 @@ def main(arguments: list[str]) -> None:
     print("dressing the subject ...", flush=True)
     capture(plan, command.out, _Told())
     print(f"{command.out / 'scans'}: {plan.count} scans; the truth is in {command.out / 'truth'}")
-    print(f"next: caphy segment {command.out / 'scans'}")
+    print(f"next: {following('segment', command.out / 'scans')}")
 
 
 class _Told:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from caphy.commands.compare import Progress
+from caphy.commands.following import following
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder, write_text
@@ -107,12 +108,9 @@ def _written(command: New, world: World) -> None:
     files = [path for found in paths.values() for path in found]
     print("\n".join(map(str, [command.output / "model.json", *files, command.output / NAME])))
     print(f"sealed answer, SHA-256 {digest}")
-    listed = {part: " ".join(found) for part, found in paths.items()}
-    print(
-        f"next: caphy diagnose {command.output / 'model.json'} {listed['train']} --base {listed['base']} "
-        f"--held-out {listed['held_out']} -o {command.output / 'diagnosis'}\n"
-        f"then: caphy challenge reveal {command.output}"
-    )
+    asked = ["--base", *paths["base"], "--held-out", *paths["held_out"], "-o", command.output / "diagnosis"]
+    print(f"next: {following('diagnose', command.output / 'model.json', *paths['train'], *asked)}")
+    print(f"then: {following('challenge', 'reveal', command.output)}")
 
 
 def _is_there(command: New) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from caphy.commands.bundled import bundled
+from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, require_place
 
@@ -163,7 +164,7 @@ def _export_runs(command: Export) -> None:
     write_bundle(bundle, command.out)
     size = sum(path.stat().st_size for path in command.out.iterdir())
     print(f"{command.out}: avatar of {len(garments)} garments, {size / 1e6:.1f} MB")
-    print(f"next: caphy demo --avatar {command.out}")
+    print(f"next: {following('demo', '--avatar', command.out)}")
 
 
 def _held_out(runs: list[Run]) -> tuple[Path, ...]:

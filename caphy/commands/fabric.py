@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from caphy.commands.following import following
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.kept import Kept
@@ -97,10 +98,9 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
     _write_page(options.run / PAGE, plots, sentences)
     print(f"written: {options.run / RESULT}, {options.run / PAGE}")
     for kind in document["garments"]:
-        print(
-            f"next: caphy train {options.run / kind}.npz --scans {options.run} "
-            f"--model {options.run / f'fabric_{kind}.json'} -o {options.run / ALTERNATED / kind}"
-        )
+        model, out = options.run / f"fabric_{kind}.json", options.run / ALTERNATED / kind
+        train = following("train", f"{options.run / kind}.npz", "--scans", options.run, "--model", model, "-o", out)
+        print(f"next: {train}")
     return 1 if document["failed"] else 0
 
 

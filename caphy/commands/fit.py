@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -82,7 +83,7 @@ def main(arguments: list[str]) -> int:
     print(f"{sum(outcome.seconds.values()) / 60:.1f} min in all, {len(outcome.kept)} stages kept from before")
     if "report" not in outcome.failed:
         print(f"report: {options.output / PAGE}")
-    print(f"next: caphy serve --avatars {options.output / AVATAR}")
+    print(f"next: {following('serve', '--avatars', options.output / AVATAR)}")
     return 1 if outcome.failed else 0
 
 

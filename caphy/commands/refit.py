@@ -12,6 +12,7 @@ import tyro
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress
 from caphy.commands.diagnose import physics_model, require_no_base
+from caphy.commands.following import following
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder, write_text
@@ -130,8 +131,9 @@ def _write(
     name = Path(command.model).stem
     write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
     print(f"\n{command.output}\n{page}")
-    files = "".join(f" --effect-file {file}" for file in command.effect_file)
-    print(f"next: caphy train --init AVATAR --model {command.output}{files} ...   (the network learns it)")
+    files = (word for file in command.effect_file for word in ("--effect-file", file))
+    train = following("train", "--init", "AVATAR", "--model", command.output, *files)
+    print(f"next: {train} ...   (the network learns it)")
 
 
 def table(found: Refit) -> str:

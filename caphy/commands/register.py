@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import tyro
 
 from caphy.commands.body import load_body
+from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
+from caphy.kept import Kept, digest
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
@@ -196,12 +199,16 @@ def _garments(command: Garments) -> None:
     if unknown:
         raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
     found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
-    for kind in command.kinds:
-        found[kind] = _garment(command, fit, scans, kind, model)
+    with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
+        for kind in command.kinds:
+            found[kind] = _garment(command, fit, scans, kind, model, Kept(folder))
     write_text(command.output / "garments.json", json.dumps(found, indent=1, allow_nan=False))
 
 
-def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upper", "lower"], model: Model) -> dict:
+def _garment(
+    command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upper", "lower"], model: Model, kept: Kept
+) -> dict:
+    """Choose a garment, write it, and tell what was chosen; what a run that was stopped had found is not done again."""
     from dataclasses import asdict
 
     from caphy.register.chamfer import Target
@@ -216,7 +223,13 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
     targets = [
         Target.of(cloud, fit.figure.placed(fit.placements[i]), kind) for cloud, i in zip(clouds, chosen, strict=True)
     ]
-    basis = command.upper_basis if kind == "upper" else command.lower_basis
+    basis, path = command.upper_basis if kind == "upper" else command.lower_basis, command.output / f"{kind}.npz"
+    given = kind, command.body, (command.output / "body.npz").read_bytes(), names, clouds
+    whole = kept.key("garment", given, model.to_json(), None if basis is None else basis.read_bytes())
+    known = kept.recall(whole)
+    if known is not None and path.is_file() and str(known["digest"]) == digest(path.read_bytes()):
+        print(f"{path}: chosen by the run that was stopped")
+        return json.loads(str(known["told"]))
     if basis is not None:
         style = LinearStyle.load(basis)
         linear = choose_linear(style, fit.figure, targets)
@@ -225,16 +238,35 @@ def _garment(command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upp
     else:
         placements = [fit.placements[i] for i in chosen]
         with Progress() as progress:
-            choice = choose(fit.figure, targets, kind, progress)
+            choice = _chosen(kept, kept.key("style", given), lambda: choose(fit.figure, targets, kind, progress))
             nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
-            style, garment = _hung(choice, fit.figure, placements, nearest, kind, model, progress)
+            style, garment = _hung(choice, fit.figure, placements, nearest, kind, model, progress, kept)
         told = asdict(style) | {"families": dict(choice.runners_up)}
         distance, looked_at = choice.distance, choice.looked_at
-    path = command.output / f"{kind}.npz"
     garment.save(path)
     near = ", ".join(names[:COMPARED])
     print(f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {near}; best of {looked_at} styles, refined")
-    return {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
+    told = {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
+    kept.keep(whole, {"told": np.array(json.dumps(told)), "digest": np.array(digest(path.read_bytes()))})
+    return told
+
+
+def _chosen(kept: Kept, key: str, choose: Callable[[], Choice]) -> Choice:
+    """A choice, or the one that was kept."""
+    from dataclasses import asdict
+
+    from caphy.garment.families import FAMILIES
+    from caphy.register.template import Choice
+
+    if (known := kept.recall(key)) is not None:
+        told = json.loads(str(known["choice"]))
+        style = FAMILIES[told["family"]](**told["style"])
+        return Choice(style, told["distance"], told["looked_at"], tuple(map(tuple, told["runners_up"])))
+    choice = choose()
+    told = {"family": choice.style.family, "style": asdict(choice.style), "distance": choice.distance}
+    told |= {"looked_at": choice.looked_at, "runners_up": choice.runners_up}
+    kept.keep(key, {"choice": np.array(json.dumps(told))})
+    return choice
 
 
 def _hung(
@@ -245,12 +277,13 @@ def _hung(
     kind: str,
     model: Model,
     progress: Progress,
+    kept: Kept,
 ) -> tuple[Family, Garment]:
     """The chosen style with eases that hang as the plainest scans show, or its own, and what it makes."""
     from dataclasses import replace
 
     from caphy.effects.cloth import Cloth
-    from caphy.register.eases import hung_eases
+    from caphy.register.eases import hung, hung_eases
     from caphy.register.girth import Sheet
     from caphy.register.template import made
 
@@ -260,9 +293,18 @@ def _hung(
         Cloth.of(garment, model.density)
         return garment
 
+    def hang(garment: Garment, cloth: Cloth, body: BodyModel, placement: Placement, model: Model) -> np.ndarray:
+        given = garment.vertices, garment.faces, garment.weights, body.v_template, placement, model.to_json()
+        key = kept.key("hung", given)
+        if (known := kept.recall(key)) is not None:
+            return known["vertices"]
+        vertices = hung(garment, cloth, body, placement, model)
+        kept.keep(key, {"vertices": vertices})
+        return vertices
+
     sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
-        style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress)
+        style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress, hang)
         return style, cut(style)
     except CaphyError as error:
         print(f"the {kind} garment's eases are told by distances alone: {error}")

@@ -13,6 +13,7 @@ import tyro
 
 from caphy.commands.begun import OPTIONS, option, require_same, write_record
 from caphy.commands.bundled import bundled
+from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -126,7 +127,7 @@ def _run(options: Train) -> int:
         return 130
     if trainer.rank == 0:
         print(f"wrote {options.output}: network, checkpoint, metrics.jsonl")
-        print(f"next: caphy export {options.output} -o avatars/{options.output.name}")
+        print(f"next: {following('export', options.output, '-o', f'avatars/{options.output.name}')}")
     return 0
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from caphy.commands.following import following
 from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
@@ -81,7 +82,8 @@ def main(arguments: list[str]) -> None:
     temporary = options.run / (REPORT + ".tmp")
     temporary.write_text(json.dumps(report, indent=2) + "\n")
     os.replace(temporary, options.run / REPORT)
-    print(f"wrote {options.run / REPORT}\nnext: caphy export {options.run} -o avatars/{options.run.name}")
+    export = following("export", options.run, "-o", f"avatars/{options.run.name}")
+    print(f"wrote {options.run / REPORT}\nnext: {export}")
 
 
 def _line(summary: dict) -> str:

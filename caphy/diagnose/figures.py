@@ -5,6 +5,7 @@ from __future__ import annotations
 from caphy.diagnose.diagnosis import Coefficient, Diagnosis
 from caphy.diagnose.noticed import LISTED
 from caphy.effects.registry import find_effect
+from caphy.refit.fit import FURTHEST
 
 _LISTED = 12
 
@@ -89,7 +90,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
         held = diagnosis.held_out
         said.append(f"On held-out measurements it falls from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
     if diagnosis.base is not None and diagnosis.base.changed:
-        moved = ", ".join(f"{name} {100 * by:+.3g} %" for name, by in diagnosis.base.changed.items())
+        moved = ", ".join(f"{name} {100 * by:+.3g} %{_limit(by)}" for name, by in diagnosis.base.changed.items())
         said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
     if diagnosis.by_base is not None:
         held = diagnosis.by_base
@@ -144,6 +145,12 @@ def _coefficient(name: str, c: Coefficient) -> str:
         return f"{name} changes by {100 * c.value:+.0f} % (95 %: {100 * c.low:+.0f} to {100 * c.high:+.0f} %)."
     unit = "" if c.unit == "1" else f" {c.unit}"
     return f"{name} = {c.value:.3g}{unit} (95 %: {c.low:.3g} to {c.high:.3g})."
+
+
+def _limit(by: float) -> str:
+    """What is said of a relative change that ends where changes are cut off."""
+    ends = not 1.01 / FURTHEST < 1 + by < 0.99 * FURTHEST
+    return f", which is as far as it is moved ({FURTHEST:g} times): more or less may be right" if ends else ""
 
 
 def _in_unit(name: str, value: float, unit: str) -> str:

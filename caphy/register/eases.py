@@ -57,6 +57,7 @@ STARTS, ITERATIONS = 4, 50
 to rest in so many; that matters less than in which fold they fell."""
 
 Progress = Callable[[str, int, int], None]
+Hang = Callable[[Garment, Cloth, BodyModel, Placement, Model], np.ndarray]
 
 
 def hung_eases(
@@ -67,6 +68,7 @@ def hung_eases(
     kind: str,
     model: Model,
     progress: Progress,
+    hang: Hang | None = None,
 ) -> Family:
     """The style with the eases with which it hangs as the scans show, whatever eases it comes with.
 
@@ -77,6 +79,7 @@ def hung_eases(
         sheets: the cloth that those scans show of it.
         kind: "upper" or "lower".
         model: the physics of the cloth, which tells in which folds it lies, and little of their area.
+        hang: :func:`hung`, or what recalls it.
 
     Raises:
         CaphyError: the garment cannot be meshed, or does not hang where the scans show one.
@@ -90,7 +93,7 @@ def hung_eases(
         (garment, cloth), seen = _coarse(style, body, model), []
         for place, (placement, sheet) in enumerate(zip(placements, sheets, strict=True)):
             progress(f"{kind}: hung in scans", number * len(sheets) + place, ROUNDS * len(sheets))
-            seen.append(shown(hung(garment, cloth, body, placement, model), garment.faces, sheet))
+            seen.append(shown((hang or hung)(garment, cloth, body, placement, model), garment.faces, sheet))
         seen = [each for each in seen if each.share > ENOUGH]
         if not seen:
             raise CaphyError(

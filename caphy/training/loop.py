@@ -197,8 +197,8 @@ class Trainer:
 
     @property
     def done(self) -> bool:
-        """Whether the schedule leaves nothing to do."""
-        return self._share_done() >= 1
+        """Whether the schedule leaves nothing to do; all processes agree on it once they have resumed."""
+        return self.schedule.done(self.progress.step, self.progress.seconds) >= 1
 
     def _share_done(self) -> float:
         return self._common(self.schedule.done(self.progress.step, self.progress.seconds))

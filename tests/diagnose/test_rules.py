@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from caphy.diagnose import base, diagnosis, proof, search
+from caphy.diagnose import base, diagnosis, figures, proof, search
 from caphy.diagnose.diagnosis import Coefficient, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.outside import outside
@@ -66,6 +66,11 @@ def test_an_estimate_within_its_error_is_no_explanation():
     assert not finalists(screen(score(DRAG, 0.2, between)))
     assert labels(finalists(screen(score(DRAG, 0.2, between)), True)) == ["mass_damping"]
     assert not finalists(screen(score(DRAG, 0.2, LEAST_WALD_OVER_BASE - 1)), True)
+
+
+@pytest.mark.parametrize(("by", "told"), [(9.0, True), (-0.9, True), (3.0, False), (-0.6, False)])
+def test_a_parameter_that_went_as_far_as_it_may_is_told(by, told):
+    assert ("as far as it is moved (10 times)" in figures._limit(by)) == told
 
 
 def test_what_explains_far_less_than_the_best_is_not_refitted():

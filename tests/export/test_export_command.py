@@ -61,6 +61,18 @@ def test_what_stands_in_the_way_is_told_before_anything_is_computed(tmp_path, ca
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.parametrize("name", ["shirt.glb", "shirt.usdc"])
+def test_a_folder_of_the_files_name_is_told_and_nothing_is_left(tmp_path, name, capsys):
+    if name.endswith("usdc"):
+        pytest.importorskip("pxr")
+    write_poses(wiggle(0.2), tmp_path / "walk.npz")
+    (tmp_path / name).mkdir()
+    arguments = ["--format", name[-4:-1] if "usd" in name else "glb", "--poses", str(tmp_path / "walk.npz")]
+    assert main(["export", "default", "-o", str(tmp_path / name), *arguments]) == 2
+    assert name in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == [name, "walk.npz"]
+
+
 def test_the_avatar_that_comes_along_has_a_name(tmp_path, monkeypatch):
     monkeypatch.setattr("export.again.exported_again", lambda bundle: (bundle, {}))
     assert main(["export", "default", "-o", str(tmp_path / "copy")]) == 0

@@ -124,13 +124,22 @@ def _folder(folder: Path, files: range, lines: str = "", pins: bool = True) -> P
     return folder
 
 
+def test_a_numbered_rest_mesh_is_no_frame(tmp_path):
+    folder = _folder(tmp_path / "m", range(20))
+    (folder / "rest.ply").rename(folder / "rest_34.ply")
+    with (folder / "measurement.toml").open("a") as file:
+        file.write('\nrest = "./rest_34.ply"\n')
+    read = read_measurement(folder)
+    assert len(read) == 20 and read.rest_vertices is not None
+
+
 def test_arrays_of_a_folder_that_tell_the_frames_again_are_refused(tmp_path):
     folder = _folder(tmp_path / "m", range(3))
     with np.load(folder / "arrays.npz") as known:
         arrays = dict(known)
-    for key in ("vertices", "frame_index"):
+    for key in ("vertices", "frame_index", "rest_vertices"):
         np.savez(folder / "arrays.npz", **arrays, **{key: np.zeros((3, 4, 3))})
-        with pytest.raises(CaphyError, match=rf"arrays.npz: has {key}, which the frames' files tell"):
+        with pytest.raises(CaphyError, match=rf"arrays.npz: has {key}, which other files of the folder tell"):
             read_measurement(folder)
 
 

@@ -20,6 +20,7 @@ from caphy.garment.families import Tshirt
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
+from caphy.kept import Kept
 from caphy.register.linear_style import choose_linear
 from caphy.register.result import read_fit
 from caphy.register.template import Choice
@@ -78,6 +79,38 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
     assert Garment.load(run / "lower.npz").name == "wide"
     assert json.loads((run / "garments.json").read_text())["lower"]["looked_at"] == 5
 
+    # Stopped amid the second garment, it goes on with what was found.
+    done = []
+
+    def choose(figure, targets, kind, progress) -> Choice:
+        done.append("chosen")
+        return Choice(Tshirt(sleeve=0.31), 0.01, 7, (("tshirt", 0.01),))
+
+    def hung(*_) -> np.ndarray:
+        done.append("hung")
+        return garment.vertices
+
+    def hung_eases(style, figure, placements, sheets, kind, model, progress, hang) -> Tshirt:
+        assert style == Tshirt(sleeve=0.31)
+        assert (hang(garment, None, figure.body, placements[0], model) == garment.vertices).all()
+        done.append("stopped" if "stopped" not in done else "eases")
+        if done[-1] == "stopped":
+            raise KeyboardInterrupt
+        return style
+
+    monkeypatch.setattr("caphy.register.template.choose", choose)
+    monkeypatch.setattr("caphy.register.eases.hung", hung)
+    monkeypatch.setattr("caphy.register.eases.hung_eases", hung_eases)
+    both = [*command[:6], "lower", "upper", *command[7:]]
+    assert main(both) == 130
+    monkeypatch.setattr("caphy.register.linear_style.choose_linear", None)
+    assert main(both) == 0
+    assert done == ["chosen", "hung", "stopped", "eases"]
+    told = json.loads((run / "garments.json").read_text())
+    assert (told["lower"]["looked_at"], told["upper"]["looked_at"]) == (5, 7)
+    assert told["upper"]["families"] == {"tshirt": 0.01}
+    assert not (run / "garments-unfinished").exists()
+
 
 def test_nothing_to_fit_is_an_error_in_words(folder, tmp_path, capsys):
     assert main(["register", "body", str(folder / "none"), "-o", str(tmp_path)]) == 2
@@ -100,8 +133,8 @@ def test_a_cut_with_faces_of_no_area_is_not_kept(spoilt, capsys, monkeypatch):
     choice, model = Choice(told, 0.01, 300, ()), Model(0.2)
     if spoilt == "every":
         with pytest.raises(CaphyError, match="every face needs a rest area"):
-            _hung(choice, None, [], [], "upper", model, None)
+            _hung(choice, None, [], [], "upper", model, None, Kept())
         return
-    style, garment = _hung(choice, None, [], [], "upper", model, None)
+    style, garment = _hung(choice, None, [], [], "upper", model, None, Kept())
     assert style is told and garment.material.any()
     assert "the upper garment's eases are told by distances alone: garment" in capsys.readouterr().out

@@ -167,10 +167,13 @@ def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:
         raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({error})") from error
-    if doubled := sorted(set(arrays) & {"vertices", "points", "offsets", "frame_index"}):
+    told = {"vertices", "points", "offsets", "frame_index"}
+    told |= {"rest_vertices", "faces"} if "rest" in description else set()
+    told |= {"poses", "transl"} if "poses" in description else set()
+    if doubled := sorted(set(arrays) & told):
         raise CaphyError(
-            f"{path}: has {', '.join(doubled)}, which the frames' files tell: a folder has one PLY or OBJ a frame, "
-            "numbered by its name; leave them out here, or give the npz itself as the measurement"
+            f"{path}: has {', '.join(doubled)}, which other files of the folder tell: each frame's PLY or OBJ, with its "
+            "number in its name, the rest mesh and the poses; give one of both, or the npz itself as the measurement"
         )
     if foreign := sorted(set(arrays) - set(ARRAYS)):
         raise CaphyError(
@@ -203,9 +206,10 @@ def _frames(folder: Path, description: dict[str, Any]) -> dict[int, Path]:
     if not pattern:
         paths = [path for path in paths if path.suffix.lower() in (".ply", ".obj")]
     files: dict[int, Path] = {}
+    rest = (folder / description["rest"]).resolve() if "rest" in description else None
     for path in paths:
         numbers = re.findall(r"\d+", path.stem)
-        if path.name == description.get("rest") or not numbers:
+        if path.resolve() == rest or not numbers:
             continue
         frame = int(numbers[-1])
         if frame in files:
