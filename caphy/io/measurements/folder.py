@@ -172,8 +172,8 @@ def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
     told |= {"poses", "transl"} if "poses" in description else set()
     if doubled := sorted(set(arrays) & told):
         raise CaphyError(
-            f"{path}: has {', '.join(doubled)}, which other files of the folder tell: each frame's PLY or OBJ, with its "
-            "number in its name, the rest mesh and the poses; give one of both, or the npz itself as the measurement"
+            f"{path}: has {', '.join(doubled)}, which other files of the folder tell: each frame's PLY or OBJ by its "
+            "number, the rest mesh and the poses; give one of both, or the npz itself as the measurement"
         )
     if foreign := sorted(set(arrays) - set(ARRAYS)):
         raise CaphyError(
