@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from caphy.diagnose.diagnosis import Coefficient, Diagnosis
 from caphy.diagnose.noticed import LISTED
+from caphy.diagnose.search import least_wald
 from caphy.effects.registry import find_effect
 from caphy.refit.fit import FURTHEST
 
@@ -129,7 +130,8 @@ def _answer(diagnosis: Diagnosis) -> str:
     limit += f" No size of {_listed(never)} would have been." if never else ""
     least = f"where {100 * best.needed:.1f} % are needed"
     if best.gain >= best.needed:
-        least += ", and is not sure enough"
+        sure = best.wald >= least_wald(diagnosis.base is not None)
+        least += ", which roll-outs do not bear out" if sure else ", and is not sure enough"
     if diagnosis.search.terms:  # accepted, and taken back
         least = "but does not hold, as the notes say"
     return (
