@@ -66,8 +66,8 @@ def require_same(options: Train, garment: Garment, model: Model, trained: Sequen
         before = json.loads((options.output / OPTIONS).read_text())
         clips = json.loads((options.output / RECORD).read_text())["trained_on"]
         what = _parted(options, garment, model, trained, before, clips)
-    except (OSError, ValueError, KeyError):
-        return  # nothing was begun there, which the checkpoint's absence tells
+    except (OSError, ValueError, KeyError, CaphyError):
+        return  # nothing was begun there, which the checkpoint's absence tells, or its record is damaged and made anew
     if what:
         raise CaphyError(f"{options.output}: was begun {what}; go on with the same, or begin anew in another folder")
 

@@ -20,7 +20,7 @@ from caphy.diagnose.proof import each_proven
 from caphy.diagnose.rivals import settle_rivals
 from caphy.diagnose.search import Search, Term, least_wald, ranked, search, take_back
 from caphy.effects.model import Model
-from caphy.errors import CaphyError
+from caphy.errors import CaphyError, Diverged
 from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.remarks import remarks
@@ -219,7 +219,7 @@ def _concluded(
     elif base is not None and base.changed:
         verdict = "parameters"
     kept = terms if verdict in ("named", "parameters") else []
-    by_base = None if apart is None or base is None or not base.changed else apart.between(given, start)
+    by_base = None if base is None or not base.changed else _by_base(apart, given, start)
     if not kept:
         errors = by_base if by_base is not None else errors and errors.unchanged
     similar = {term.group.name: alike(found, term) for term in kept}
@@ -248,6 +248,14 @@ def _concluded(
         study=study,
         notes=tuple(notes),
     )
+
+
+def _by_base(apart: Apart | None, given: Model, start: Model) -> HeldOut | None:
+    """What parameters that base measurements moved do to held-out errors; none where cloth flies apart without that."""
+    try:
+        return None if apart is None else apart.between(given, start)
+    except Diverged:
+        return None
 
 
 def _taken_back(terms: Sequence[Term], reason: str) -> str:

@@ -49,6 +49,8 @@ def figures(diagnosis: Diagnosis) -> dict:
             "parameters_changed": base.changed,
             "mesh": base.mesh,
             "correction": dict(base.correction),
+            "held_out_mm": diagnosis.by_base
+            and {"before": diagnosis.by_base.before_mm, "after": diagnosis.by_base.after_mm},
         },
         "probes": diagnosis.outside.gains,
         "library_gain": diagnosis.outside.library,
