@@ -9,6 +9,7 @@ import pytest
 from small_world import swaying, tube
 
 from caphy.cli import main
+from caphy.effects import registry
 from caphy.effects.presets import snug_model
 from caphy.effects.scaffold import write_scaffold
 from caphy.io.poses import write_poses
@@ -54,8 +55,9 @@ def test_trains_and_says_what_it_wrote(inputs, capsys):
     assert json.loads((run / "run.json").read_text())["steps"] == 2
 
 
-def test_goes_on_only_with_what_it_began_with(inputs, capsys):
+def test_goes_on_only_with_what_it_began_with(inputs, capsys, monkeypatch):
     """The same paths, of which one holds something else by now."""
+    monkeypatch.setattr(registry, "_from_files", {})  # other tests know nothing of it
     model, file, motion = inputs / "model.json", inputs / "mine.py", inputs / "motions" / "1.npz"
     model.write_text(snug_model().to_json())
     write_scaffold("my_resumed_pull", file)
