@@ -11,7 +11,14 @@ from caphy.measure.size import misfitting
 
 
 def remarks(measurements: Iterable[Measurement]) -> list[str]:
-    """In words: of which frames some are left out, whose stated noise the data do not show, and whose
+    """In words, what is true of several once: of which frames some are left out, whose stated noise the data do not show, and whose
     rest mesh is of another size."""
+    said: dict[str, list[str]] = {}
     given = list(measurements)
-    return [note for say in (slowed, overstated, misfitting) for each in given if (note := say(each)) is not None]
+    for say in (slowed, overstated, misfitting):
+        for each in given:
+            if (note := say(each)) is not None:
+                said.setdefault(note.removeprefix(f"{each.name} "), []).append(each.name)
+    return [
+        f"{names[0]} {what}" if len(names) == 1 else f"{', '.join(names)}: each {what}" for what, names in said.items()
+    ]

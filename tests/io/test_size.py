@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_measurements import swinging
 
+from caphy.measure.pace import slowed
 from caphy.measure.remarks import remarks
 from caphy.measure.size import misfitting
 
@@ -30,3 +31,11 @@ def test_a_rest_mesh_of_another_size_is_doubted(factor, doubted, noise_mm):
 
 def test_nothing_is_said_without_a_rest_mesh():
     assert misfitting(replace(swinging(), rest_vertices=None)) is None
+
+
+def test_what_is_said_of_several_is_said_once():
+    fast = replace(swinging(), fps=120.0)
+    one, two = (replace(fast, name=name) for name in ("one", "two"))
+    assert remarks([one]) == [slowed(one)]
+    (both,) = remarks([one, two, swinging()])
+    assert both == f"one, two: each {slowed(one).removeprefix('one ')}"
