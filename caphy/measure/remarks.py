@@ -11,8 +11,8 @@ from caphy.measure.size import misfitting
 
 
 def remarks(measurements: Iterable[Measurement]) -> list[str]:
-    """In words, what is true of several once: of which frames some are left out, whose stated noise the data do not show, and whose
-    rest mesh is of another size."""
+    """In words, once for all of which it is true: of which frames some are left out, whose stated noise the data do not
+    show, and whose rest mesh is of another size."""
     said: dict[str, list[str]] = {}
     given = list(measurements)
     for say in (slowed, overstated, misfitting):
