@@ -73,7 +73,7 @@ def _spread(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _measured(comparison: Comparison) -> np.ndarray | list[np.ndarray]:
     measurement, frames = comparison.measurement, comparison.prediction.frames
     if comparison.prediction.registered and measurement.vertices is not None:
-        return np.where(measurement.observed[frames][..., None], measurement.vertices[frames], np.nan)
+        return measurement.seen_vertices[frames]
     return [measurement.cloud(int(frame)) for frame in frames]
 
 

@@ -20,7 +20,7 @@ def misfitting(measurement: Measurement) -> str | None:
         return None
     a, b = mesh_edges(measurement.faces).T
     rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
-    frames = measurement.vertices[:: max(len(measurement) // _FRAMES, 1)]
+    frames = measurement.seen_vertices[:: max(len(measurement) // _FRAMES, 1)]
     noise = measurement_noise(measurement)
     longer = 0.0 if noise is None else 6 * noise.sigma**2  # three coordinates at either end
     ratio = (((frames[:, a] - frames[:, b]) ** 2).sum(-1) - longer) / np.maximum(rest, 1e-12) ** 2

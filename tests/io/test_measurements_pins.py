@@ -74,6 +74,17 @@ def test_a_single_frame_that_lies_elsewhere_is_told(tmp_path, frame, spoil):
         read_measurement(tmp_path / "m.npz")
 
 
+def test_what_is_written_where_nothing_was_seen_says_nothing(tmp_path):
+    """Hidden vertices that a tracker guessed, and pins among them."""
+    sheet = swinging()
+    vertices, seen = sheet.vertices.copy(), np.ones(sheet.vertices.shape[:2], bool)
+    seen[9, 6:] = seen[12, sheet.pinned] = False
+    vertices[9, 6:] += np.array([0.5, 0, 0])
+    vertices[12, sheet.pinned] += 0.4
+    write_measurement(replace(sheet, vertices=vertices, visibility=seen), tmp_path / "m.npz")
+    read_measurement(tmp_path / "m.npz")
+
+
 def test_a_violent_motion_is_no_single_frame(tmp_path):
     """Ten swings a second through 6 cm: 120 m/s^2."""
     sheet = swinging(60)

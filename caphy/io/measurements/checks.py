@@ -212,7 +212,7 @@ def _require_same_mesh(measurement: Measurement) -> None:
     a, b = mesh_edges(measurement.faces).T
     rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
     frames = measurement.seen_frames
-    each = [_lengths_over(measurement.vertices[frame], a, b, rest) for frame in frames]
+    each = [_lengths_over(measurement.seen_vertices[frame], a, b, rest) for frame in frames]
     ratio = np.concatenate(each[:: max(len(frames) // 20, 1)])
     if len(ratio) == 0:
         return
@@ -321,7 +321,7 @@ def _require_no_jump(measurement: Measurement) -> None:
     frames = measurement.seen_frames
     if len(frames) < 6 or measurement.vertices is None:
         return
-    x = measurement.vertices[frames]
+    x = measurement.seen_vertices[frames]
     between = np.linalg.norm(x[1:-1] - 0.5 * (x[:-2] + x[2:]), axis=-1)
     known = np.isfinite(between).any(axis=1) & (np.diff(frames)[:-1] == 1) & (np.diff(frames)[1:] == 1)
     away = np.zeros(len(between))

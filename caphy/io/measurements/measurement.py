@@ -119,6 +119,11 @@ class Measurement:
         return seen if self.visibility is None else seen & self.visibility
 
     @cached_property
+    def seen_vertices(self) -> np.ndarray:
+        """Vertices (T, V, 3) [m] of a registered measurement, NaN where not seen, whatever is written there."""
+        return np.where(self.observed[..., None], self.vertices, np.nan)  # type: ignore[arg-type]
+
+    @cached_property
     def seen_frames(self) -> np.ndarray:
         """Frames in which anything was seen, (K,)."""
         if self.registered:

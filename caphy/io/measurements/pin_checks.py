@@ -28,7 +28,7 @@ def require_pins(measurement: Measurement) -> None:
     """Raise :class:`CaphyError`, saying what to change, unless held vertices that were seen lie where the pins are."""
     if measurement.pinned is None or measurement.pinned_positions is None or measurement.vertices is None:
         return
-    held, pins = measurement.vertices[:, measurement.pinned], measurement.pinned_positions
+    held, pins = measurement.seen_vertices[:, measurement.pinned], measurement.pinned_positions
     away = np.linalg.norm(held - pins, axis=-1)
     if not np.isfinite(away).any():
         return
