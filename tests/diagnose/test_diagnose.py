@@ -38,14 +38,14 @@ DRAG = 0.6  # kg/m^2/s against the velocity: a rate of 3 1/s on cloth of 0.2 kg/
 HIDDEN, WRONG = "mass_damping", "air_drag_normal"
 
 
-def taken(seed: int, **hidden) -> Measurement:
-    """Two seconds of the square; each seed sways at its own tempo."""
-    return measured(*simulate(tempo=1 + 0.15 * seed, settle=2.0, **hidden), seed=seed)
+def taken(seed: int, seconds: float = 1.6, **hidden) -> Measurement:
+    """The square; each seed sways at its own tempo."""
+    return measured(*simulate(seconds, tempo=1 + 0.15 * seed, settle=2.0, **hidden), seed=seed)
 
 
 @pytest.fixture(scope="module")
 def plain() -> Measurement:
-    return taken(0)
+    return taken(0, 2.0)
 
 
 @pytest.fixture(scope="module")

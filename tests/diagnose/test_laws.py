@@ -44,7 +44,7 @@ def blown(power: int) -> Callable[[np.ndarray, np.ndarray, float], np.ndarray]:
 
 @pytest.fixture(scope="module")
 def films() -> list[Measurement]:
-    return [measured(*simulate(tempo=tempo, settle=2.0, push=blown(2)), seed=2) for tempo in (1.15, 1.3)]
+    return [measured(*simulate(1.6, tempo=tempo, settle=2.0, push=blown(2)), seed=2) for tempo in (1.15, 1.3)]
 
 
 def test_a_wind_is_named_by_its_law(films):
@@ -82,7 +82,7 @@ def gusty(swings: float, x: np.ndarray, v: np.ndarray, now: float) -> np.ndarray
 
 
 def test_a_gust_far_from_one_swing_a_second_is_found():
-    films = [measured(*simulate(3.0, tempo=1.15, settle=2.0, push=partial(gusty, 2.8)), seed=3)]
+    films = [measured(*simulate(2.4, tempo=1.15, settle=2.0, push=partial(gusty, 2.8)), seed=3)]
     found = diagnose(MODEL, films)
     assert found.found == ("gust",)
     # told with an interval where another frequency than one of those that are looked at meets more windows better
@@ -95,7 +95,7 @@ def test_a_gust_far_from_one_swing_a_second_is_found():
 def test_a_gust_is_found_beside_a_wind():
     wind = blown(1)
     both = lambda x, v, now: wind(x, v, now) + gusty(1.7, x, v, now)  # noqa: E731
-    films = [measured(*simulate(tempo=1.15, settle=2.0, push=both), seed=3)]
+    films = [measured(*simulate(1.7, tempo=1.15, settle=2.0, push=both), seed=3)]
     found = diagnose(MODEL, films)
     assert found.found == ("wind_normal", "gust")
     truth = {"wind_normal.coefficient": COEFFICIENT, "gust.frequency": 1.7, "gust.sine[0]": 0.5, "gust.sine[2]": 0.3}

@@ -22,7 +22,7 @@ MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 
 
 def test_another_setting_is_weighed_as_if_all_had_been_rolled_out_in_it():
-    study = Study([Scene.of(measured(*simulate(), seed=1))])
+    study = Study([Scene.of(measured(*simulate(seconds=1.2), seed=1))])
     first = screen(study, MODEL, MODEL)
     place, share = best_setting(evidence(first.elsewhere["gust"], first.variance, first.evidence.weight), MODEL, "gust")
     assert settings("gust")[place] != {"frequency": 1.0}
@@ -42,7 +42,7 @@ def test_another_setting_is_weighed_as_if_all_had_been_rolled_out_in_it():
 
 def test_what_retelling_the_mesh_moved_is_still_known_once_a_frequency_is_fitted():
     """Else intervals of an effect that stays would shrink because another one was looked at more closely."""
-    study = Study([Scene.of(measured(*simulate(), seed=1))])
+    study = Study([Scene.of(measured(*simulate(seconds=1.2), seed=1))])
     columns, model = addition("mass_damping") + addition("gust"), MODEL.with_effect("gust", frequency=1.2)
     windows = study.respond(model, columns)
     variance = study.variance(windows)

@@ -27,7 +27,7 @@ MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return Scene.of(measured(*simulate(), seed=1))
+    return Scene.of(measured(*simulate(seconds=1.2), seed=1))
 
 
 def test_a_crew_finds_what_one_process_does(scene, tmp_path, monkeypatch):

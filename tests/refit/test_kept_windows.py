@@ -35,7 +35,7 @@ def _all(scene: Scene, folder: Path | None) -> list[Response]:
 
 
 def test_a_later_crew_tells_what_an_earlier_one_found(tmp_path: Path) -> None:
-    scene = Scene.of(measured(*simulate(), seed=1))
+    scene = Scene.of(measured(*simulate(seconds=1.2), seed=1))
     folder = tmp_path / "kept"
     first = _all(scene, folder)
     files = sorted(folder.iterdir())
@@ -62,7 +62,7 @@ def test_a_later_crew_tells_what_an_earlier_one_found(tmp_path: Path) -> None:
 
 
 def test_windows_are_predicted_once(tmp_path: Path) -> None:
-    scene, folder = Scene.of(measured(*simulate(), seed=1)), tmp_path / "kept"
+    scene, folder = Scene.of(measured(*simulate(seconds=1.2), seed=1)), tmp_path / "kept"
     found = []
     for model in (MODEL, MODEL, STIFFER):
         with Crew(size=1, kept=folder) as crew:
@@ -78,7 +78,7 @@ def test_windows_are_predicted_once(tmp_path: Path) -> None:
 
 
 def test_clouds_are_registered_once(tmp_path: Path) -> None:
-    scene = Scene.of(measured(*simulate(), seed=1))
+    scene = Scene.of(measured(*simulate(seconds=1.2), seed=1))
     measurement, faces = scene.measurement, scene.garment.faces
     keys = {"faces": faces, "rest_vertices": scene.garment.vertices, "material": scene.garment.material}
     keys |= {"pinned": measurement.pinned, "pinned_positions": measurement.pinned_positions[:4]}
