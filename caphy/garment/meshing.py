@@ -45,27 +45,36 @@ def insert_curve(vertices: np.ndarray, faces: np.ndarray, field: Field) -> tuple
     Returns vertices and faces in which no edge crosses the curve.
     """
     vertices, value = _snap(vertices, faces, field)
-    edge = topology.edges(faces)
-    edge = edge[value[edge[:, 0]] * value[edge[:, 1]] < 0]
+    edge = _crossed(faces, value)
     share = value[edge[:, 0]] / (value[edge[:, 0]] - value[edge[:, 1]])
     points = vertices[edge[:, 0]] + share[:, None] * (vertices[edge[:, 1]] - vertices[edge[:, 0]])
     middle = {tuple(pair): len(vertices) + i for i, pair in enumerate(edge.tolist())}
-    whole, pieces = [], []
-    for face in faces.tolist():
+    crossing = _both_sides(faces, value)
+    pieces = []
+    for face in faces[crossing].tolist():
         cut = [middle.get((min(a, b), max(a, b))) for a, b in zip(face, face[1:] + face[:1], strict=True)]
-        if any(c is not None for c in cut):
-            pieces.extend(_split(face, cut))
-        else:
-            whole.append(face)
-    return np.concatenate([vertices, points]), np.array(whole + pieces)
+        pieces.extend(_split(face, cut))
+    return np.concatenate([vertices, points]), np.concatenate(
+        [faces[~crossing], np.array(pieces, faces.dtype).reshape(-1, 3)]
+    )
+
+
+def _both_sides(faces: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Which faces (F,) have corners on both sides of the curve where ``value`` (V,) is zero."""
+    return (value[faces] < 0).any(axis=1) & (value[faces] > 0).any(axis=1)
+
+
+def _crossed(faces: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Edges (E, 2) whose ends lie on different sides of the curve where ``value`` (V,) is zero."""
+    edge = topology.edges(faces[_both_sides(faces, value)])
+    return edge[value[edge[:, 0]] * value[edge[:, 1]] < 0]
 
 
 def _snap(vertices: np.ndarray, faces: np.ndarray, field: Field, share: float = 0.25) -> tuple[np.ndarray, np.ndarray]:
     """Move each vertex that lies within ``share`` of an edge's length of the curve onto it, along that edge."""
     value = field(vertices)
     vertices = vertices.copy()
-    edge = topology.edges(faces)
-    edge = edge[value[edge[:, 0]] * value[edge[:, 1]] < 0]
+    edge = _crossed(faces, value)
     for a, b in np.concatenate([edge, edge[:, ::-1]]):
         if value[a] * value[b] < 0 and abs(value[a]) < share * abs(value[a] - value[b]):
             vertices[a] += value[a] / (value[a] - value[b]) * (vertices[b] - vertices[a])
