@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from caphy.conventions import BODY_JOINT_COUNT, JOINT_NAMES
-from caphy.errors import CaphyError
 from caphy.io.measurements.measurement import Measurement
 from caphy.io.poses.sequence import Y_UP_FROM_Z_UP, PoseSequence
 
@@ -53,10 +52,6 @@ def require_body(measurement: Measurement, axes_stated: bool) -> None:
     _require_one_body(measurement, joints)
 
 
-def _error(measurement: Measurement, message: str) -> CaphyError:
-    return CaphyError(f"{measurement.source or measurement.name}: {message}")
-
-
 def _joints(measurement: Measurement) -> np.ndarray:
     from caphy.body.bundled import default_body
 
@@ -75,10 +70,9 @@ def _require_upright(measurement: Measurement, joints: np.ndarray) -> None:
     spine /= np.linalg.norm(spine, axis=1, keepdims=True)
     up, away = np.median(spine[:, 1]), np.median(np.abs(spine[:, 2]))
     if away > UPRIGHT and up < 0.5:
-        raise _error(
-            measurement,
+        raise measurement.error(
             "the body stands along z, so z seems to be up; state up_axis = 'z' in the file (or up_axis = 'y' if it "
-            "does lie that way)",
+            "does lie that way)"
         )
 
 
@@ -93,11 +87,10 @@ def _require_near(measurement: Measurement, joints: np.ndarray) -> None:
             (Y_UP_FROM_Z_UP.T, "the poses have z up and the cloth y up; turn them"),
         ):
             if np.median(_distances(measurement, joints, frames, rotation)) < min(REACH, 0.5 * away):
-                raise _error(measurement, f"the cloth lies {away:.2f} m from the joints of its body: {advice}")
-        raise _error(
-            measurement,
+                raise measurement.error(f"the cloth lies {away:.2f} m from the joints of its body: {advice}")
+        raise measurement.error(
             f"the cloth lies {away:.2f} m from the joints of its body; vertices, poses and transl must be in one world "
-            "frame, in metres, with transl added after turning about the pelvis as in SMPL-X",
+            "frame, in metres, with transl added after turning about the pelvis as in SMPL-X"
         )
     _require_each_near(measurement, frames, each, "the joints of its body; are both of the same moments?")
 
@@ -105,9 +98,8 @@ def _require_near(measurement: Measurement, joints: np.ndarray) -> None:
 def _require_each_near(measurement: Measurement, frames: np.ndarray, each: np.ndarray, what: str) -> None:
     if each.max() > ASTRAY * REACH:
         worst, many = int(frames[each.argmax()]), int((each > ASTRAY * REACH).sum())
-        raise _error(
-            measurement,
-            f"in frame {worst} the cloth lies {each.max():.2f} m from {what} ({many} of {len(frames)} frames tried)",
+        raise measurement.error(
+            f"in frame {worst} the cloth lies {each.max():.2f} m from {what} ({many} of {len(frames)} frames tried)"
         )
 
 
@@ -128,10 +120,9 @@ def _require_order(measurement: Measurement, joints: np.ndarray) -> None:
         return
     one, two = (float(np.median(np.linalg.norm(limbs[lag:] - limbs[:-lag], axis=2).mean(1))) for lag in (1, 2))
     if one > JITTERS and one > TURNS * two:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the poses look shuffled: joints move {one / two:.2g} times as far to the next frame as to the one after; "
-            "sort them by time",
+            "sort them by time"
         )
 
 
@@ -147,10 +138,9 @@ def _require_preroll(measurement: Measurement, joints: np.ndarray) -> None:
     own = float(steps[len(before) :].max(initial=0.0))
     jump = float(steps[len(before) - 1])
     if jump > max(JUMP * own, REACH):
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"a joint moves {jump:.2f} m from the last frame of the preroll to the first of the motion, and within it "
-            f"{own:.2f} m at most; preroll_poses and preroll_transl must end one frame before the motion, in its world",
+            f"{own:.2f} m at most; preroll_poses and preroll_transl must end one frame before the motion, in its world"
         )
 
 
@@ -184,16 +174,14 @@ def _require_worn(measurement: Measurement) -> None:
     if not turn:
         return
     if np.median(turn) > TURNED:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the cloth is turned by {np.median(turn):.0f} degrees against its rest shape on the posed body; give "
-            "rest_vertices on the body's T-pose, y up, and poses [rad] and vertices with the same axis up",
+            "rest_vertices on the body's T-pose, y up, and poses [rad] and vertices with the same axis up"
         )
     if np.median(away) > REACH:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the cloth lies {np.median(away):.2f} m from where poses and transl carry rest_vertices; give "
-            "rest_vertices on the body's T-pose, with the body's origin, not in a posed frame",
+            "rest_vertices on the body's T-pose, with the body's origin, not in a posed frame"
         )
 
 
@@ -204,24 +192,22 @@ def _require_mesh(measurement: Measurement) -> None:
     frames = _some(measurement, 20)
     size = float(np.median(np.linalg.norm(np.ptp(measurement.body_vertices[frames], axis=1), axis=1)))
     if size > TALLEST:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"body_vertices must be in metres, but the body measures {size:.3g} across; multiply millimetres by 0.001, "
-            "centimetres by 0.01",
+            "centimetres by 0.01"
         )
     faces = measurement.body_faces
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     alone = int((np.unique(pairs, axis=0, return_counts=True)[1] == 1).sum())
     if alone > OPEN * len(pairs) / 2:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the body must be a closed mesh, {alone} of its edges belong to one face only; fill its holes, or give "
-            "poses instead",
+            "poses instead"
         )
     a, b, c = (measurement.body_vertices[frames[0]] - measurement.body_vertices[frames[0]].mean(0))[faces.T]
     if (np.cross(a, b) * c).sum() < 0:
-        raise _error(
-            measurement, "body_faces must be counter-clockwise seen from outside, they are inside out; flip them"
+        raise measurement.error(
+            "body_faces must be counter-clockwise seen from outside, they are inside out; flip them"
         )
     if measurement.pinned is not None:
         return
@@ -234,10 +220,9 @@ def _require_mesh(measurement: Measurement) -> None:
         each.append(np.median(tree.query(cloud[:: max(len(cloud) // 200, 1)])[0]))
     away = float(np.median(each))
     if away > REACH:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the cloth lies {away:.2f} m from its body; vertices and body_vertices must be in one world frame, in "
-            "metres, with the same axis up",
+            "metres, with the same axis up"
         )
     _require_each_near(measurement, frames, np.array(each), "its body; are both of the same moments?")
 
@@ -254,8 +239,7 @@ def _require_one_body(measurement: Measurement, joints: np.ndarray) -> None:
         for frame in frames
     ]
     if np.median(away) > APART:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"half of the joints that the poses give lie {np.median(away):.2f} m or more from body_vertices; both must "
-            "be of one body, in one world frame",
+            "be of one body, in one world frame"
         )

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from caphy.errors import CaphyError
 from caphy.io.measurements.body_checks import require_body
 from caphy.io.measurements.measurement import Measurement
 from caphy.io.measurements.pin_checks import require_pins
@@ -64,20 +63,15 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
         _require_hanging(measurement)
 
 
-def _error(measurement: Measurement, message: str) -> CaphyError:
-    return CaphyError(f"{measurement.source or measurement.name}: {message}")
-
-
 def _require_rate(measurement: Measurement) -> None:
     if measurement.fps < 2:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"fps must be frames per second, got {measurement.fps:g}; if that is the time between frames [s], "
-            f"give {1 / measurement.fps:.4g}",
+            f"give {1 / measurement.fps:.4g}"
         )
     if measurement.fps > 2000:
-        raise _error(
-            measurement, f"fps must be frames per second, got {measurement.fps:g}; is it a time in another unit?"
+        raise measurement.error(
+            f"fps must be frames per second, got {measurement.fps:g}; is it a time in another unit?"
         )
 
 
@@ -91,22 +85,19 @@ def _require_metres(measurement: Measurement) -> None:
     size = _size(measurement)
     if not SIZE[0] <= size <= SIZE[1]:
         fitting = [f"{unit} (multiply by {scale:g})" for scale, unit in _SCALES.items() if 0.2 <= size * scale <= 4]
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"lengths must be in metres, but the cloth measures {size:.3g} across; "
             + (f"are these {' or '.join(fitting)}?" if fitting else "check its unit"),
         )
     if measurement.noise is not None and np.nanmedian(measurement.noise) > NOISIEST * size:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"noise must be in metres, got a median of {np.nanmedian(measurement.noise):.3g} on a cloth of {size:.2g} "
-            "m; divide millimetres by 1000",
+            "m; divide millimetres by 1000"
         )
     if measurement.noise_mm is not None and measurement.noise_mm > 1000 * NOISIEST * size:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"noise_mm must be in millimetres, got {measurement.noise_mm:g} on a cloth of {1000 * size:.3g} mm; are "
-            "these micrometres?",
+            "these micrometres?"
         )
 
 
@@ -124,18 +115,16 @@ def _require_same_pattern(measurement: Measurement) -> None:
     rest, laid = (np.linalg.norm(x - np.roll(x, 1, axis=1), axis=-1) for x in (corners, flat))
     low, middle, high = np.quantile(laid / np.maximum(rest, 1e-12), (0.1, 0.5, 0.9))
     if not 0.5 <= middle <= 2 or high > 2.5 * low:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"edges are {low:.2g} to {high:.2g} times as long in material as in rest_vertices (in the median "
-            f"{middle:.3g}); give both in metres, and material's corners in the order of faces",
+            f"{middle:.3g}); give both in metres, and material's corners in the order of faces"
         )
     ratio = laid / np.maximum(rest, 1e-12)
     wrong = float((ratio.max(axis=1) > SHEARED * ratio.min(axis=1)).mean())
     if wrong > WRONG:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"{100 * wrong:.0f} % of the faces have another shape in material than in rest_vertices; give material's "
-            "corners in the order of faces and of each face's corners",
+            "corners in the order of faces and of each face's corners"
         )
 
 
@@ -147,10 +136,9 @@ def _require_seen(measurement: Measurement) -> None:
         frame = np.searchsorted(measurement.offsets, at, side="right") - 1  # pyright: ignore
         counts = np.bincount(frame, minlength=len(measurement))
         if counts.max() > 1:
-            raise _error(
-                measurement,
+            raise measurement.error(
                 f"frame {int(counts.argmax())} has {counts.max()} points at (0, 0, 0); leave points that were not seen "
-                "out of the cloud",
+                "out of the cloud"
             )
         return
     at = measurement.observed & (measurement.vertices == 0).all(axis=-1)
@@ -160,10 +148,9 @@ def _require_seen(measurement: Measurement) -> None:
         zeros = np.flatnonzero(at[frame])
         if len(zeros) > 1 or _torn_off(measurement, int(frame), int(zeros[0])):
             many = int(at.sum())
-            raise _error(
-                measurement,
+            raise measurement.error(
                 f"vertex {zeros[0]} lies at (0, 0, 0) in frame {frame}, away from its neighbours ({many} such places): "
-                "leave what was not seen NaN",
+                "leave what was not seen NaN"
             )
 
 
@@ -197,11 +184,10 @@ def _require_no_repeats(measurement: Measurement) -> None:
     pairs = np.flatnonzero(same)
     if len(pairs):
         first = int(pairs[0])
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"frames {frames[first]} and {frames[first + 1]} are the same to the last digit, "
             f"{'in spite of noise' if noisy else 'while the cloth moves before and after'} ({len(pairs)} such pairs): "
-            "leave repeated frames empty (NaN), and give the true fps",
+            "leave repeated frames empty (NaN), and give the true fps"
         )
 
 
@@ -218,10 +204,9 @@ def _require_same_mesh(measurement: Measurement) -> None:
         return
     low, middle, high = np.quantile(ratio, (0.1, 0.5, 0.9))
     if high > 2.5 * low:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"some edges are {low:.2g} and others {high:.2g} times as long as at rest: faces, rest_vertices and "
-            "vertices are not in the same vertex order. Export all three from one mesh",
+            "vertices are not in the same vertex order. Export all three from one mesh"
         )
     if not 0.5 <= middle <= 2:
         large = middle if middle > 1 else 1 / middle
@@ -229,18 +214,16 @@ def _require_same_mesh(measurement: Measurement) -> None:
         wrong, right = ("vertices", "a rest mesh") if middle > 1 else ("rest_vertices", "frames")
         advice = f"the {wrong} look like {_SCALES[unit]} beside {right} in metres: multiply them by {unit:g}"
         fits = 0.5 <= large * unit <= 2
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"edges are {middle:.3g} times as long as in rest_vertices; "
             + (advice if fits else "are both in metres, and of the same mesh?"),
         )
     for frame, own in zip(frames, each, strict=True):
         low, high = np.quantile(own, (0.1, 0.9)) if len(own) else (1.0, 1.0)
         if high > TORN * low:
-            raise _error(
-                measurement,
+            raise measurement.error(
                 f"in frame {frame} some edges are {low:.2g} and others {high:.2g} times as long as at rest: its "
-                "vertices are in another order than other frames'; export all from one mesh, or leave it empty (NaN)",
+                "vertices are in another order than other frames'; export all from one mesh, or leave it empty (NaN)"
             )
 
 
@@ -268,10 +251,9 @@ def _require_order(measurement: Measurement) -> None:
     gap = np.diff(frames)
     speed = one * measurement.fps / gap
     if np.median(speed) > MAX_SPEED:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the cloth moves at {np.median(speed):.0f} m/s through half of the frames; are the frames in order, and "
-            f"is fps = {measurement.fps:g} the true rate?",
+            f"is fps = {measurement.fps:g} the true rate?"
         )
     two = _step(measurement, frames, 2)
     # Four frames a b c d: if a c b d is a much shorter way, b and c are not in the order of time.
@@ -282,11 +264,10 @@ def _require_order(measurement: Measurement) -> None:
         return
     first = int(frames[np.argmax(wrong) + 1])
     if wrong.sum() == 1:
-        raise _error(measurement, f"frames {first} and {first + 1} look exchanged; put the frames in the order of time")
-    raise _error(
-        measurement,
+        raise measurement.error(f"frames {first} and {first + 1} look exchanged; put the frames in the order of time")
+    raise measurement.error(
         f"the frames look shuffled, first at frames {first} and {first + 1}: the way through them becomes much shorter "
-        "when neighbours are exchanged. Sort them by time (frame_2, frame_10 sort wrongly as text)",
+        "when neighbours are exchanged. Sort them by time (frame_2, frame_10 sort wrongly as text)"
     )
 
 
@@ -299,20 +280,18 @@ def _require_ordered_clouds(measurement: Measurement) -> None:
         same &= np.append(~same[1:], False) & np.append(False, ~same[:-1])
     if same.any():
         first = int(same.argmax())
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"frames {frames[first]} and {frames[first + 1]} are the same to the last digit ({same.sum()} such pairs): "
-            "leave repeated frames empty, and give the true fps",
+            "leave repeated frames empty, and give the true fps"
         )
     if len(frames) < 6:
         return
     told = np.array([np.concatenate([cloud.mean(axis=0), cloud.std(axis=0)]) for cloud in clouds])
     one, two = (float(np.median(np.linalg.norm(told[lag:] - told[:-lag], axis=1))) for lag in (1, 2))
     if one > WANDERS * _size(measurement) and one > TURNS * two:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the frames look shuffled: clouds move {one / two:.2g} times as far to the next frame as to the one "
-            "after. Sort them by time (frame_2, frame_10 sort wrongly as text)",
+            "after. Sort them by time (frame_2, frame_10 sort wrongly as text)"
         )
 
 
@@ -334,10 +313,9 @@ def _require_no_jump(measurement: Measurement) -> None:
         place, by = 0, 2 * by
     elif worst == len(away) - 1 and away[-2] < 0.25 * by:
         place, by = len(frames) - 1, 2 * by
-    raise _error(
-        measurement,
+    raise measurement.error(
         f"frame {frames[place]} lies elsewhere than the frames around it say, by {by:.2g} m in the median of its "
-        "vertices; put its unit, place and order right, or leave it empty (NaN)",
+        "vertices; put its unit, place and order right, or leave it empty (NaN)"
     )
 
 
@@ -351,19 +329,16 @@ def _require_hanging(measurement: Measurement) -> None:
     )
     length = float(np.linalg.norm(hanging))
     if length > 0.1 * _size(measurement) and hanging[1] > 0.8 * length:
-        raise _error(
-            measurement,
-            "the cloth hangs upwards from its pins; turn it, or state up_axis = 'y' in the file if it does fly so",
+        raise measurement.error(
+            "the cloth hangs upwards from its pins; turn it, or state up_axis = 'y' in the file if it does fly so"
         )
     if length > 0.1 * _size(measurement) and hanging[1] > -0.3 * length and abs(hanging[0]) > 0.8 * length:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the cloth hangs along {'-' if hanging[0] < 0 else ''}x from its pins, so that axes seem to be exchanged; "
-            "turn it, or state up_axis = 'y' in the file if it does fly that way",
+            "turn it, or state up_axis = 'y' in the file if it does fly that way"
         )
     if length > 0.1 * _size(measurement) and hanging[1] > -0.3 * length and hanging[2] < -0.8 * length:
-        raise _error(
-            measurement,
+        raise measurement.error(
             "the cloth hangs along -z from its pins, so z seems to be up; state up_axis = 'z' in the file (or "
-            "up_axis = 'y' if it does fly that way)",
+            "up_axis = 'y' if it does fly that way)"
         )

@@ -83,13 +83,13 @@ class Measurement:
             if value is not None and field.name not in ("name", "fps", "noise_mm", "source", "notes"):
                 object.__setattr__(self, field.name, self._array(field.name, value))
         if (self.vertices is None) == (self.points is None):
-            raise self._error("must hold either registered 'vertices' (T, V, 3) or 'points' (N, 3) with 'offsets'")
+            raise self.error("must hold either registered 'vertices' (T, V, 3) or 'points' (N, 3) with 'offsets'")
         if not (np.isfinite(self.fps) and self.fps > 0):
-            raise self._error(f"fps must be positive [Hz], got {self.fps}")
+            raise self.error(f"fps must be positive [Hz], got {self.fps}")
         if self.noise_mm is not None and not (np.isfinite(self.noise_mm) and self.noise_mm >= 0):
-            raise self._error(f"noise_mm must not be negative, got {self.noise_mm}")
+            raise self.error(f"noise_mm must not be negative, got {self.noise_mm}")
         if self.noise_mm is not None and self.noise is not None:
-            raise self._error("must state either 'noise', of each point [m], or 'noise_mm', of all; it has both")
+            raise self.error("must state either 'noise', of each point [m], or 'noise_mm', of all; it has both")
         self._require_groups()
         self._require_shapes()
         self._require_values()
@@ -159,22 +159,23 @@ class Measurement:
                 fewer["noise"] = self.noise[of_kept]
         return replace(self, fps=self.fps / step, **fewer)
 
-    def _error(self, message: str) -> CaphyError:
+    def error(self, message: str) -> CaphyError:
+        """What is wrong with this measurement, with its file before it."""
         return CaphyError(f"{self.source or self.name or 'measurement'}: {message}")
 
     def _array(self, name: str, value: object) -> np.ndarray:
         array = np.asarray(value)
         wanted = "U" if name == "regions" else "biuf"
         if name in INTEGERS and array.dtype.kind == "b":
-            raise self._error(f"{name} must be indices, got a mask; give numpy.flatnonzero of it")
+            raise self.error(f"{name} must be indices, got a mask; give numpy.flatnonzero of it")
         if array.dtype.kind not in wanted:
-            raise self._error(f"{name} must be {'text' if wanted == 'U' else 'numbers'}, got {array.dtype}")
+            raise self.error(f"{name} must be {'text' if wanted == 'U' else 'numbers'}, got {array.dtype}")
         if name == "regions":
             return array
         if name in INTEGERS and array.dtype.kind == "f" and not np.array_equal(array, np.round(array)):
-            raise self._error(f"{name} must be whole numbers (indices), got {array.dtype}")
+            raise self.error(f"{name} must be whole numbers (indices), got {array.dtype}")
         if name == "visibility" and not np.isin(array, (0, 1)).all():
-            raise self._error("visibility must be true or false (1 or 0); compare confidences with a limit of your own")
+            raise self.error("visibility must be true or false (1 or 0); compare confidences with a limit of your own")
         dtype = np.int64 if name in INTEGERS else bool if name == "visibility" else np.float64
         return np.ascontiguousarray(array, dtype=dtype)
 
@@ -190,17 +191,17 @@ class Measurement:
             given = [name for name in names if getattr(self, name) is not None]
             if len(given) == 1:
                 missing = next(name for name in names if name not in given)
-                raise self._error(f"{given[0]} needs {missing} beside it")
+                raise self.error(f"{given[0]} needs {missing} beside it")
         if self.registered and self.faces is None:
-            raise self._error("registered vertices need 'faces' (F, 3)")
+            raise self.error("registered vertices need 'faces' (F, 3)")
 
     def _require_shapes(self) -> None:
         if self.vertices is not None and self.vertices.ndim != 3:
-            raise self._error(f"vertices must have shape (T, V, 3), got {self.vertices.shape}")
+            raise self.error(f"vertices must have shape (T, V, 3), got {self.vertices.shape}")
         if self.offsets is not None and (self.offsets.ndim != 1 or len(self.offsets) < 2):
-            raise self._error(f"offsets must have shape (T + 1,), got {self.offsets.shape}")
+            raise self.error(f"offsets must have shape (T + 1,), got {self.offsets.shape}")
         if len(self) == 0:
-            raise self._error("holds no frames")
+            raise self.error("holds no frames")
         t, v = len(self), self.vertex_count
         f = None if self.faces is None else len(self.faces)
         p = None if self.pinned is None else len(self.pinned)
@@ -229,7 +230,7 @@ class Measurement:
             self._require_shape(name, shape, t)
         allowed = {(v,), (t, v)} if self.registered else {(len(self.points),)}  # type: ignore[arg-type]
         if self.noise is not None and self.noise.shape not in allowed:
-            raise self._error(f"noise must have shape {' or '.join(map(str, allowed))}, got {self.noise.shape}")
+            raise self.error(f"noise must have shape {' or '.join(map(str, allowed))}, got {self.noise.shape}")
 
     def _require_shape(self, name: str, shape: tuple[int | None, ...], frames: int) -> None:
         value = getattr(self, name)
@@ -254,7 +255,7 @@ class Measurement:
             hint = "; one place for each of preroll_poses"
         elif value.ndim == len(shape) and value.shape[-1:] == shape[-1:]:
             hint = "; do the mesh and the recording have the same topology?"
-        raise self._error(f"{name} must have shape {wanted}, got {value.shape}{hint}")
+        raise self.error(f"{name} must have shape {wanted}, got {value.shape}{hint}")
 
     def _require_values(self) -> None:
         for name in ("points", "rest_vertices", "material", "weights", "poses", "transl", "body_vertices"):
@@ -266,31 +267,31 @@ class Measurement:
                 self.offsets[0] == 0 and (np.diff(self.offsets) >= 0).all() and self.offsets[-1] == len(self.points)
             )
             if not rising:
-                raise self._error(f"offsets must rise from 0 to the number of points, {len(self.points)}")
+                raise self.error(f"offsets must rise from 0 to the number of points, {len(self.points)}")
         count = self.vertex_count
         for name, limit in (("faces", count), ("pinned", count), ("body_faces", _second(self.body_vertices))):
             index = getattr(self, name)
             if index is not None and limit is not None and len(index) and not 0 <= index.min() <= index.max() < limit:
-                raise self._error(
+                raise self.error(
                     f"{name} must index {limit} vertices, got {index.min()} to {index.max()}; is it of another mesh, "
                     "or counted from 1?"
                 )
         if self.pinned is not None and len(np.unique(self.pinned)) < len(self.pinned):
-            raise self._error("pinned must name each held vertex once")
+            raise self.error("pinned must name each held vertex once")
         if self.pinned is not None and not 0 < len(self.pinned) < (count or np.inf):
-            raise self._error(
+            raise self.error(
                 f"pinned must hold some of the {count} vertices, and not all, got {len(self.pinned)}; leave pinned and "
                 "pinned_positions out where nothing is held"
             )
         if len(self.seen_frames) == 0:
-            raise self._error("no frame shows anything: all vertices are NaN or not visible")
+            raise self.error("no frame shows anything: all vertices are NaN or not visible")
         if self.attached is not None and not 0 <= self.attached.min() <= self.attached.max() <= 1:
-            raise self._error(
+            raise self.error(
                 f"attached must lie between 0 (free) and 1 (held to the body), got {self.attached.min():g} to "
                 f"{self.attached.max():g}"
             )
         if self.noise is not None and (np.isnan(self.noise).all() or np.nanmin(self.noise) < 0):
-            raise self._error("noise must be standard deviations in metres, not negative")
+            raise self.error("noise must be standard deviations in metres, not negative")
 
     def _require_finite(self, name: str) -> None:
         value = getattr(self, name)
@@ -298,7 +299,7 @@ class Measurement:
             return
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
         hint = "; leave points that were not seen out of the cloud" if name == "points" else ""
-        raise self._error(f"{name} must be finite, got {value[place]} at index {place}{hint}")
+        raise self.error(f"{name} must be finite, got {value[place]} at index {place}{hint}")
 
 
 def _second(array: np.ndarray | None) -> int | None:

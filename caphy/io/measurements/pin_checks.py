@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from caphy.errors import CaphyError
 from caphy.io.measurements.measurement import Measurement
 
 BESIDE: Final = 0.02
@@ -37,26 +36,23 @@ def require_pins(measurement: Measurement) -> None:
     seen = np.flatnonzero(np.isfinite(away).any(axis=0))
     each = np.nanmedian(away[:, seen], axis=0)
     if each.min() > limit:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"the pinned vertices were measured {1000 * middle:.0f} mm from pinned_positions; check the order of "
-            "'pinned', the unit, the axes, and that both were recorded at the same times",
+            "'pinned', the unit, the axes, and that both were recorded at the same times"
         )
     if each.max() > limit:
         pin = int(seen[np.argmax(each)])
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"vertex {measurement.pinned[pin]}, number {pin} of 'pinned', was measured {1000 * each.max():.0f} mm from "
-            "its pinned_positions in half of the frames; check its number and its place, or leave it out of both",
+            "its pinned_positions in half of the frames; check its number and its place, or leave it out of both"
         )
     frames = np.flatnonzero(np.isfinite(away).any(axis=1))
     astray = 1e3 * np.nanmedian(away[frames], axis=1)
     if astray.max() > 1e3 * ASTRAY * limit:
-        raise _error(
-            measurement,
+        raise measurement.error(
             f"in frame {frames[np.argmax(astray)]} the pinned vertices were measured {astray.max():.0f} mm from "
             f"pinned_positions, in half of the frames {1000 * middle:.0f} mm; put that frame right, or leave its "
-            "vertices empty (NaN) if it is they that are wrong",
+            "vertices empty (NaN) if it is they that are wrong"
         )
 
 
@@ -68,11 +64,10 @@ def _require_same_times(measurement: Measurement, held: np.ndarray, pins: np.nda
     if not best or apart[0] < PARTED or apart[best] > min(FITS * apart[0], limit):
         return
     many = f"{abs(best)} frame{'s' if abs(best) > 1 else ''}"
-    raise _error(
-        measurement,
+    raise measurement.error(
         f"the pins are {'late' if best > 0 else 'early'} by {many}: the pinned vertices were measured "
         f"{1000 * apart[0]:.0f} mm from pinned_positions of the same frames and {1000 * apart[best]:.0f} mm from those "
-        f"{abs(best)} {'later' if best > 0 else 'earlier'}; give both at the same times",
+        f"{abs(best)} {'later' if best > 0 else 'earlier'}; give both at the same times"
     )
 
 
@@ -86,7 +81,3 @@ def _noise(measurement: Measurement) -> float:
     if measurement.noise_mm is not None:
         return 1e-3 * measurement.noise_mm
     return _NOISE if measurement.noise is None else float(np.nanmedian(measurement.noise))
-
-
-def _error(measurement: Measurement, message: str) -> CaphyError:
-    return CaphyError(f"{measurement.source or measurement.name}: {message}")
