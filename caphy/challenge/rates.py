@@ -6,6 +6,7 @@ in the rates of angle and strain themselves.
 
 from __future__ import annotations
 
+from functools import partial
 from math import sqrt
 
 import numba
@@ -17,10 +18,14 @@ COLLAPSED = 1e-13
 FAR = 1e6
 """Metres beyond which no cloth is. (``isfinite`` is always true under ``reassoc``, which takes x - x for zero.)"""
 
-_compiled = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
+_compiled = partial(
+    numba.njit, cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy"
+)
+_inlined = partial(_compiled, forceinline=True)
+"""As in :mod:`caphy.effects.kernels`: the same numbers, whether compiled just now or found in the cache."""
 
 
-@_compiled
+@_compiled()
 def drift(x, v, force, inverse, kick, dt):
     """Velocities v (V, 3) after a force over a time ``kick`` [s], and positions x (V, 3) a time dt [s] later; tells
     whether all are numbers, and nearer than :data:`FAR`."""
@@ -33,7 +38,7 @@ def drift(x, v, force, inverse, kick, dt):
     return near
 
 
-@_compiled
+@_compiled()
 def bending_rates(x, v, hinges, viscosity, slope):
     """Add 2 c_i dtheta/dt grad(theta) of hinges (n, 4) with viscosities c_i (n,) [J s] to ``slope`` (V, 3)."""
     for i in range(len(hinges)):
@@ -55,7 +60,7 @@ def bending_rates(x, v, hinges, viscosity, slope):
         _add(slope, d, moment, at_d)
 
 
-@_compiled
+@_inlined()
 def strain_rates(x, v, faces, inverse, viscosity, slope):
     """Add the slope of the stress eta dG/dt of faces (n, 3) with eta A (n,) [N m s] to ``slope`` (V, 3).
 
@@ -75,7 +80,7 @@ def strain_rates(x, v, faces, inverse, viscosity, slope):
         _add(slope, c, viscosity[i], at_c)
 
 
-@_compiled
+@_compiled()
 def slowed(x, v, faces, inverse, viscosity, mass):
     """Velocities w (V, 3) with m (w - v) = -:func:`strain_rates` of w; ``viscosity`` (n,) times the time [N m s^2].
 
@@ -101,37 +106,37 @@ def slowed(x, v, faces, inverse, viscosity, mass):
     return w
 
 
-@_compiled
+@_inlined()
 def _between(x, a, b):
     return x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
 
 
-@_compiled
+@_inlined()
 def _blend(a, p, b, q):
     return a * p[0] + b * q[0], a * p[1] + b * q[1], a * p[2] + b * q[2]
 
 
-@_compiled
+@_inlined()
 def _times(a, p):
     return a * p[0], a * p[1], a * p[2]
 
 
-@_compiled
+@_inlined()
 def _dot(p, q):
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
-@_compiled
+@_inlined()
 def _cross(p, q):
     return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
-@_compiled
+@_inlined()
 def _along(v, a, p):
     return v[a, 0] * p[0] + v[a, 1] * p[1] + v[a, 2] * p[2]
 
 
-@_compiled
+@_inlined()
 def _add(slope, a, factor, p):
     slope[a, 0] += factor * p[0]
     slope[a, 1] += factor * p[1]

@@ -17,6 +17,7 @@ from caphy.effects.kernels import (
     _deformation,
     _dot,
     _hinge,
+    _inlined,
     _minus,
     _turn,
     _vertex,
@@ -26,7 +27,7 @@ from caphy.effects.kernels import (
 )
 
 
-@_compiled
+@_compiled()
 def scatter(hessian, slots, blocks):
     """Add any element Hessians (k, 3, k, 3, n)."""
     for a in range(hessian.shape[0]):
@@ -39,7 +40,7 @@ def scatter(hessian, slots, blocks):
                             blocks[slot, p, q] += hessian[a, p, b, q, i]
 
 
-@_compiled
+@_compiled()
 def membrane(x, index, hat, area, stress, tangent, slots, blocks):
     """Add A [(w_a^T S w_b) I + B_a^T C B_b] for faces of stress (3, n) and tangent (6, n), as in effects.membrane."""
     room = np.empty((2, 3, 3, 3))
@@ -50,7 +51,7 @@ def membrane(x, index, hat, area, stress, tangent, slots, blocks):
         _add_face(i, u, v, hat, area[i], s, c, room, slots, blocks)
 
 
-@_compiled
+@_compiled()
 def strain_stvk(x, index, hat, area, lame_lambda, lame_mu, projection, slots, blocks):
     """Add faces of effects.strain_stvk."""
     room = np.empty((2, 3, 3, 3))
@@ -65,7 +66,7 @@ def strain_stvk(x, index, hat, area, lame_lambda, lame_mu, projection, slots, bl
         _add_face(i, u, v, hat, area[i], stress, tangent, room, slots, blocks)
 
 
-@_compiled
+@_inlined()
 def _tensile(stress, share):
     """A mixture of a stress and, by ``share``, what is left of it without compression; as membrane.positive_part."""
     uu, vv, uv = stress
@@ -80,7 +81,7 @@ def _tensile(stress, share):
     )
 
 
-@_compiled
+@_inlined()
 def _add_face(i, u, v, hat, area, stress, tangent, room, slots, blocks):
     """Add a face whose deformation gradient has the columns u and v."""
     rows, stiff = room[0], room[1]
@@ -108,14 +109,14 @@ def _add_face(i, u, v, hat, area, stress, tangent, room, slots, blocks):
                 blocks[slot, p, p] += along * hat[b, 0, i] + across * hat[b, 1, i]
 
 
-@_compiled
+@_compiled()
 def angles(x, index, found):
     """Write the dihedral angles of hinges to ``found`` (n,) [rad]."""
     for i in range(index.shape[0]):
         found[i] = _hinge(x, 0, index, i)[5]
 
 
-@_compiled
+@_compiled()
 def hinge(x, index, length, area, moment, stiffness, slots, blocks):
     """Add ``moment`` times the second derivative of each angle and ``stiffness`` times the square of its first."""
     slope = np.empty((4, 3))
@@ -123,7 +124,7 @@ def hinge(x, index, length, area, moment, stiffness, slots, blocks):
         _add_hinge(_hinge(x, 0, index, i), length[i], area[i], moment[i], stiffness[i], slope, slots[i], blocks)
 
 
-@_compiled
+@_compiled()
 def bending(x, index, stiffness, rest_angle, length, area, projection, slots, blocks):
     """Add hinges of effects.bending, and of effects that make some of them less stiff."""
     slope = np.empty((4, 3))
@@ -134,7 +135,7 @@ def bending(x, index, stiffness, rest_angle, length, area, projection, slots, bl
         _add_hinge(found, length[i], area[i], moment, stiff, slope, slots[i], blocks)
 
 
-@_compiled
+@_compiled()
 def bending_damping(x, origin, index, stiffness, length, area, projection, slots, blocks):
     """Add hinges of effects.bending_damping: bending whose rest angles are those of ``origin``."""
     slope = np.empty((4, 3))
@@ -144,7 +145,7 @@ def bending_damping(x, origin, index, stiffness, length, area, projection, slots
         _add_hinge(found, length[i], area[i], moment, 2.0 * stiffness[i], slope, slots[i], blocks)
 
 
-@_compiled
+@_inlined()
 def _add_hinge(found, length, area, moment, stiffness, slope, slots, blocks):
     edge, wing_c, wing_d, normal_c, normal_d, _ = found
     square = max(_dot(edge, edge), (COLLAPSED * length) ** 2)
@@ -169,7 +170,7 @@ def _add_hinge(found, length, area, moment, stiffness, slope, slots, blocks):
         _add_second(3, edge, reach, normal_d, _cross(edge, normal_d), along_d, smallest, moment, slots, blocks)
 
 
-@_compiled
+@_inlined()
 def _add_second(wing, edge, reach, normal, inward, along, smallest, moment, slots, blocks):
     """Add what one triangle of a hinge contributes to ``moment`` times the angle's second derivative.
 
@@ -207,7 +208,7 @@ def _add_second(wing, edge, reach, normal, inward, along, smallest, moment, slot
                     blocks[slot, p, q] += along_normal * normal[q] + along_inward * inward[q] + along_edge * edge[q]
 
 
-@_compiled
+@_inlined()
 def _corner(j, wing, along):
     """Of the ends of an edge and a wing, the place in the hinge, and u and s as in :func:`_add_second`."""
     if j == 0:
@@ -217,7 +218,7 @@ def _corner(j, wing, along):
     return wing, 1.0, 0.0
 
 
-@_compiled
+@_compiled()
 def spring(x, anchor, index, stiffness, projection, slots, blocks):
     """Add vertex springs of a stiffness [N/m], wherever they are tied to."""
     for i in range(index.shape[0]):
@@ -225,7 +226,7 @@ def spring(x, anchor, index, stiffness, projection, slots, blocks):
             blocks[slots[i, 0, 0], p, p] += stiffness[i]
 
 
-@_compiled
+@_compiled()
 def body_contact(x, point, normal, index, area, layer, stiffness, distance, projection, slots, blocks):
     """Add vertices of effects.body_contact; projected ones, inside the body, wherever projection is not zero."""
     for i in range(index.shape[0]):
@@ -243,7 +244,7 @@ def body_contact(x, point, normal, index, area, layer, stiffness, distance, proj
                 blocks[slots[i, 0, 0], p, q] += slope * away[p] * away[q]
 
 
-@_compiled
+@_compiled()
 def air(x, origin, lagged, index, area, dt, across, power, drag, wind, push, projection, slots, blocks):
     """Add faces of effects.air with a drag law; the same between all pairs of corners."""
     if power == 0:

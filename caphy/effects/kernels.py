@@ -8,6 +8,7 @@ definition, serves every other device, and is what tests compare with.
 
 from __future__ import annotations
 
+from functools import partial
 from math import atan2, floor, pi, sqrt
 
 import numba
@@ -16,44 +17,52 @@ from caphy.effects.hinge import COLLAPSED
 from caphy.effects.strain_measured import LARGEST, SMOOTHING
 from caphy.material.fabrics import BEND_SPACING, LOADED_TWICE, STRETCH_SAMPLED
 
-_compiled = numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy", boundscheck=False
+_compiled = partial(
+    numba.njit,
+    cache=True,
+    nogil=True,
+    fastmath={"contract", "reassoc", "arcp", "nsz"},
+    error_model="numpy",
+    boundscheck=False,
 )
+_inlined = partial(_compiled, forceinline=True)
+"""What kernels call. Not inlined, it would be taken from where it was compiled alone by the process that compiles, and
+from within its kernel by those that find that in the cache; each rounds otherwise, so results would depend on which."""
 
 
-@_compiled
+@_inlined()
 def _vertex(x, t, a):
     return x[t, a, 0], x[t, a, 1], x[t, a, 2]
 
 
-@_compiled
+@_inlined()
 def _minus(p, q):
     return p[0] - q[0], p[1] - q[1], p[2] - q[2]
 
 
-@_compiled
+@_inlined()
 def _blend(a, p, b, q):
     return a * p[0] + b * q[0], a * p[1] + b * q[1], a * p[2] + b * q[2]
 
 
-@_compiled
+@_inlined()
 def _dot(p, q):
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
-@_compiled
+@_inlined()
 def _cross(p, q):
     return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
-@_compiled
+@_inlined()
 def _add(gradient, t, a, p):
     gradient[t, a, 0] += p[0]
     gradient[t, a, 1] += p[1]
     gradient[t, a, 2] += p[2]
 
 
-@_compiled
+@_inlined()
 def _deformation(x, t, index, hat, i):
     """Columns u, v of the deformation gradient and the Green strains uu, vv, uv of a face."""
     origin = _vertex(x, t, index[i, 0])
@@ -63,7 +72,7 @@ def _deformation(x, t, index, hat, i):
     return u, v, 0.5 * (_dot(u, u) - 1.0), 0.5 * (_dot(v, v) - 1.0), 0.5 * _dot(u, v)
 
 
-@_compiled
+@_inlined()
 def _add_stress(gradient, t, index, hat, i, u, v, uu, vv, uv):
     """Add the forces of a face under a stress times its area."""
     bu, bv, cu, cv = hat[1, 0, i], hat[1, 1, i], hat[2, 0, i], hat[2, 1, i]
@@ -74,7 +83,7 @@ def _add_stress(gradient, t, index, hat, i, u, v, uu, vv, uv):
     _add(gradient, t, index[i, 2], c)
 
 
-@_compiled
+@_compiled()
 def strain_stvk(x, index, hat, area, lame_lambda, lame_mu, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0
@@ -87,7 +96,7 @@ def strain_stvk(x, index, hat, area, lame_lambda, lame_mu, energy, gradient):
         energy[t] += total
 
 
-@_compiled
+@_inlined()
 def weights(strain):
     """The sampled rows' weight at a largest principal strain and its radial mean."""
     d = min(2.0 * strain / (sqrt(1.0 + 2.0 * strain) + 1.0), STRETCH_SAMPLED)
@@ -96,7 +105,7 @@ def weights(strain):
     return d / STRETCH_SAMPLED, 1.0 - beyond * beyond * (1.0 - within)
 
 
-@_compiled
+@_inlined()
 def flattened(stiffness, flat):
     """A stiffness led through zero without slope, its slope and its curvature."""
     t = abs(stiffness) / flat
@@ -108,7 +117,7 @@ def flattened(stiffness, flat):
     return value, slope, sign * t * (36.0 - 96.0 * t + 60.0 * t * t) / flat
 
 
-@_compiled
+@_inlined()
 def _mean_clamped(start, sampled, strain, weight, mean):
     """Radial mean of a clamped stiffness, its slope in ``sampled`` and its slope in ``strain``."""
     rise = sampled - start
@@ -128,7 +137,7 @@ def _mean_clamped(start, sampled, strain, weight, mean):
     return whole, mean, whole_slope
 
 
-@_compiled
+@_inlined()
 def _measured_stress(uu, vv, uv, start, directed):
     """Energy density and stress uu, vv, uv of a measured fabric; ``directed`` (6, 4) as in strain_measured."""
     half = 0.5 * (uu - vv)
@@ -164,7 +173,7 @@ def _measured_stress(uu, vv, uv, start, directed):
     return k0 * uu * uu + 2.0 * (k1 * uu * vv + k3 * uv * uv) + k2 * vv * vv, suu, svv, suv
 
 
-@_compiled
+@_compiled()
 def strain_measured(x, index, hat, area, start, directed, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0
@@ -177,7 +186,7 @@ def strain_measured(x, index, hat, area, start, directed, energy, gradient):
         energy[t] += total
 
 
-@_compiled
+@_inlined()
 def _hinge(x, t, index, i):
     """Edge, wings, normals of a hinge, and its angle."""
     a = _vertex(x, t, index[i, 0])
@@ -188,7 +197,7 @@ def _hinge(x, t, index, i):
     return edge, wing_c, wing_d, normal_c, normal_d, angle
 
 
-@_compiled
+@_inlined()
 def _add_moment(gradient, t, index, i, edge, wing_c, wing_d, normal_c, normal_d, length, area, moment):
     """Add the forces of a hinge whose energy grows by ``moment`` per angle; as in hinge.dihedral_gradient."""
     square = _dot(edge, edge)
@@ -204,14 +213,14 @@ def _add_moment(gradient, t, index, i, edge, wing_c, wing_d, normal_c, normal_d,
     _add(gradient, t, index[i, 3], _blend(at_d, normal_d, 0.0, normal_d))
 
 
-@_compiled
+@_inlined()
 def _turn(angle, rest):
     """As in hinge.turn."""
     turned = angle - rest
     return turned - 2.0 * pi * floor(turned / (2.0 * pi) + 0.5)
 
 
-@_compiled
+@_compiled()
 def bending(x, index, stiffness, rest_angle, length, area, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0
@@ -224,7 +233,7 @@ def bending(x, index, stiffness, rest_angle, length, area, energy, gradient):
         energy[t] += total
 
 
-@_compiled
+@_compiled()
 def bending_damping(x, origin, index, stiffness, length, area, energy, gradient):
     """Bending whose rest angles are those of ``origin`` (T, V, 3)."""
     for t in range(x.shape[0]):
@@ -239,7 +248,7 @@ def bending_damping(x, origin, index, stiffness, length, area, energy, gradient)
         energy[t] += total
 
 
-@_compiled
+@_compiled()
 def bending_measured(x, index, nodes, rest_angle, length, area, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0
@@ -262,7 +271,7 @@ def bending_measured(x, index, nodes, rest_angle, length, area, energy, gradient
         energy[t] += total
 
 
-@_compiled
+@_compiled()
 def spring(x, anchor, index, stiffness, energy, gradient):
     """Vertex springs of a stiffness [N/m] to where ``anchor`` (T, V, 3) has each vertex."""
     for t in range(x.shape[0]):
@@ -275,7 +284,7 @@ def spring(x, anchor, index, stiffness, energy, gradient):
         energy[t] += total
 
 
-@_compiled
+@_compiled()
 def gravity(x, index, mass, acceleration, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0
@@ -287,7 +296,7 @@ def gravity(x, index, mass, acceleration, energy, gradient):
         energy[t] += total
 
 
-@_compiled
+@_compiled()
 def body_contact(x, point, normal, index, area, layer, stiffness, distance, energy, gradient):
     for t in range(x.shape[0]):
         total = 0.0
@@ -303,7 +312,7 @@ def body_contact(x, point, normal, index, area, layer, stiffness, distance, ener
         energy[t] += total
 
 
-@_compiled
+@_inlined()
 def unit_normal(x, t, index, i):
     """As area_vector of effects.air, scaled to one; zero without area."""
     origin = _vertex(x, t, index[i, 0])
@@ -311,7 +320,7 @@ def unit_normal(x, t, index, i):
     return _blend(1.0 / max(sqrt(_dot(across, across)), 1e-12), across, 0.0, across)
 
 
-@_compiled
+@_inlined()
 def velocity_of_face(x, origin, t, index, i, dt):
     """Mean velocity of a face's corners."""
     total = _minus(_vertex(x, t, index[i, 0]), _vertex(origin, t, index[i, 0]))
@@ -321,14 +330,14 @@ def velocity_of_face(x, origin, t, index, i, dt):
     return _blend(1.0 / (3.0 * dt), total, 0.0, total)
 
 
-@_compiled
+@_inlined()
 def projected(field, normal, across):
     """The part of a vector across a face, or along it."""
     part = _blend(_dot(field, normal), normal, 0.0, normal)
     return part if across else _minus(field, part)
 
 
-@_compiled
+@_compiled()
 def air(x, origin, lagged, index, area, dt, across, power, drag, wind, push, energy, gradient):
     blown, pushed = (wind[0], wind[1], wind[2]), (push[0], push[1], push[2])
     for t in range(x.shape[0]):

@@ -10,14 +10,14 @@ from math import sqrt
 
 import numpy as np
 
-from caphy.effects.kernels import _compiled, flattened, weights
+from caphy.effects.kernels import _compiled, _inlined, flattened, weights
 from caphy.effects.strain_measured import SMOOTHING
 from caphy.material.fabrics import LOADED_TWICE, STRETCH_SAMPLED
 
 _SMALL = 1e-6  # strain below which the mean weight's slopes are those of its series at zero
 
 
-@_compiled
+@_inlined()
 def _mean_weight_slopes(strain, weight, mean):
     """First and second slope of the radial mean of the sampled rows' weight."""
     if strain < _SMALL:
@@ -27,7 +27,7 @@ def _mean_weight_slopes(strain, weight, mean):
     return first, (2.0 * (onward - first) - first) / strain
 
 
-@_compiled
+@_inlined()
 def _mean_clamped(start, sampled, strain, weight, mean, first, second):
     """Radial mean K of a clamped stiffness and its slopes: s, g, ss, sg, gg in ``sampled`` s and ``strain`` g."""
     rise = sampled - start
@@ -50,7 +50,7 @@ def _mean_clamped(start, sampled, strain, weight, mean, first, second):
     return whole
 
 
-@_compiled
+@_inlined()
 def _quadratic(column, uu, vv, uv, part, parts):
     """What one of the four stiffnesses multiplies in twice the energy density, its slopes and its second slopes."""
     part[:] = 0.0
@@ -68,7 +68,7 @@ def _quadratic(column, uu, vv, uv, part, parts):
     return 2.0 * uv * uv
 
 
-@_compiled
+@_compiled()
 def measured_response(uu, vv, uv, start, directed, found):
     """Stress and tangent in d / d(uu, vv, 2 uv) of Green strains (n,): uu, vv, uv and 00, 11, 22, 01, 02, 12.
 
@@ -130,7 +130,7 @@ def measured_response(uu, vv, uv, start, directed, found):
         found[7, n], found[8, n] = 0.5 * scale * second[0, 2], 0.5 * scale * second[1, 2]
 
 
-@_compiled
+@_inlined()
 def _second(into, by_half_half, by_half_shear, by_shear_shear):
     """Second slopes in uu, vv, uv from those in half the difference (uu - vv) / 2 and the shear uv."""
     into[0, 0] = into[1, 1] = 0.25 * by_half_half
