@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RefitCommand:
-    """Add effects to a model and fit them: the new model's JSON, and a page with before and after beside it."""
+    """Add effects to a model and fit them: the new model's JSON, and a page with before and after beside it.
+
+    What held-out measurements contradict is refused: nothing is written, and the exit status is 1.
+    """
 
     model: tyro.conf.Positional[str]
     """A physics model's JSON, "snug", or a measured fabric's name."""
@@ -50,8 +53,8 @@ class RefitCommand:
     """Python files with effects of your own."""
 
 
-def main(arguments: list[str]) -> None:
-    """Run ``caphy refit`` with the arguments after it."""
+def main(arguments: list[str]) -> int:
+    """Run ``caphy refit`` with the arguments after it; 1 where the fit is refused and nothing is written."""
     command = tyro.cli(RefitCommand, args=arguments, prog="caphy refit")
     if not command.measurements:
         raise CaphyError("give at least one measurement")
@@ -65,15 +68,15 @@ def main(arguments: list[str]) -> None:
         with unfinished(command.output / UNFINISHED) as folder:
             kept = Kept(folder, command.effect_file)
             refit_tables(model, command.measurements, command.output, command.held_out, command.add, kept)
-        return
+        return 0
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")
     writable_file(command.output)
     with unfinished(command.output.with_suffix(f".{UNFINISHED}")) as kept:
-        _refit(command, model, kept)
+        return _refit(command, model, kept)
 
 
-def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
+def _refit(command: RefitCommand, model: Model, kept: Path) -> int:
     import torch
 
     from caphy.body.model import BodyModel
@@ -99,7 +102,12 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> None:
         with Progress("refit") as progress:
             learned = base_of(model, calm, garment, body, progress, crew)
             found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
+        print(table(found))
+        if found.refused:
+            print("The model stays as it was; nothing was written.")
+            return 1
         _write(command, model, found, measured, proof, crew, garment, body)
+    return 0
 
 
 def _write(
@@ -112,11 +120,7 @@ def _write(
     garment: Garment | None,
     body: BodyModel | None,
 ) -> None:
-    """Say what was found, and write the model and its page, on which a measurement is shown before and after."""
-    print(table(found))
-    if not found.kept and command.add:
-        print("The model stays as it was; nothing was written.")
-        return
+    """Write the model and its page, on which a measurement is shown before and after."""
     held = found.held_out
     new = found.model.revised(
         model,

@@ -21,6 +21,7 @@ def _held(before_mm: float, after_mm: float, share: float) -> HeldOut:
 
 def test_what_lowers_both_is_kept():
     assert _refused(_held(5.0, 4.0, 0.09), FITTED, SURE, ("a",)) == ""
+    assert _refused(_held(9.7, 4.9, 0.184), SimpleNamespace(share=0.78), SURE, ("a",)) == ""  # as diagnoses name it
     assert _refused(_held(5.0, 4.0, 0.09), FITTED, UNSURE, ()) == ""  # of its own parameters none need move
 
 
@@ -28,7 +29,8 @@ def test_what_lowers_both_is_kept():
     ("held", "numbers", "why"),
     [
         (_held(7.56, 7.95, 0.05), SURE, "the median distance must fall, but it goes from 7.56 to 7.95 mm"),
-        (_held(5.0, 4.0, 0.01), SURE, "a third of what it falls by"),
+        (_held(5.0, 4.9, 0.015), SURE, "a third of what it falls by"),
+        (_held(5.0, 4.0, 0.005), SURE, "the misfit must fall by 1 %, but falls by 0.5 %"),
         (_held(5.0, 5.1, 0.09), UNSURE, "different from zero; on held-out measurements the median distance must fall"),
         (_held(5.0, 4.0, 0.09), UNSURE, "none of its numbers is surely different from zero"),
     ],
