@@ -8,14 +8,15 @@ from caphy.io.measurements import Measurement
 from caphy.measure.noise import overstated
 from caphy.measure.pace import slowed
 from caphy.measure.size import misfitting
+from caphy.measure.strays import torn
 
 
 def remarks(measurements: Iterable[Measurement]) -> list[str]:
     """In words, once for all of which it is true: of which frames some are left out, whose stated noise the data do not
-    show, and whose rest mesh is of another size."""
+    show, whose rest mesh is of another size, and whose vertices lie far from their neighbours."""
     said: dict[str, list[str]] = {}
     given = list(measurements)
-    for say in (slowed, overstated, misfitting):
+    for say in (slowed, overstated, misfitting, torn):
         for each in given:
             if (note := say(each)) is not None:
                 said.setdefault(note.removeprefix(f"{each.name} "), []).append(each.name)

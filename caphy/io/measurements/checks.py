@@ -25,6 +25,8 @@ TURNS: Final = 0.9
 path, 1 for shuffled frames."""
 HALTED: Final = 1e-3
 """Mean step [m] before and after a frame between which a cloth does not stand perfectly still."""
+ELSEWHERE: Final = 10.0
+"""Sizes of a cloth from its middle beyond which nothing of it lies: what says there that it was not seen does."""
 JUMP: Final = 0.05
 """Share of a cloth's size by which the median vertex of a frame is away from the middle between its neighbours ..."""
 VIOLENT: Final = 200.0
@@ -48,6 +50,7 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
     """
     _require_rate(measurement)
     _require_metres(measurement)
+    _require_near_itself(measurement)
     _require_same_pattern(measurement)
     _require_seen(measurement)
     if measurement.registered:
@@ -99,6 +102,23 @@ def _require_metres(measurement: Measurement) -> None:
             f"noise_mm must be in millimetres, got {measurement.noise_mm:g} on a cloth of {1000 * size:.3g} mm; are "
             "these micrometres?"
         )
+
+
+def _require_near_itself(measurement: Measurement) -> None:
+    """No point is far from all others: programs also write -9999 for what was not seen."""
+    limit = ELSEWHERE * _size(measurement)
+    for frame in map(int, measurement.seen_frames):
+        cloud = measurement.cloud(frame)
+        away = np.abs(cloud - np.median(cloud, axis=0)).max(axis=1)
+        if away.max() > limit:
+            place = int(np.argmax(away))
+            if measurement.registered:
+                place = int(np.flatnonzero(measurement.observed[frame])[place])
+            what, remedy = ("vertex", "NaN") if measurement.registered else ("point", "out")
+            raise measurement.error(
+                f"{what} {place} lies {away.max():.3g} m away from the others in frame {frame} ({(away > limit).sum()} "
+                f"such there): leave what was not seen {remedy}"
+            )
 
 
 def mesh_edges(faces: np.ndarray) -> np.ndarray:
@@ -175,7 +195,7 @@ def _require_no_repeats(measurement: Measurement) -> None:
     if measurement.vertices is None:
         return
     noisy, frames = _noisy(measurement), measurement.seen_frames
-    now, before = measurement.vertices[frames[1:]], measurement.vertices[frames[:-1]]
+    now, before = measurement.seen_vertices[frames[1:]], measurement.seen_vertices[frames[:-1]]
     same = ((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=(1, 2))
     if not noisy:
         apart = np.linalg.norm(now - before, axis=2)
@@ -235,8 +255,7 @@ def _lengths_over(x: np.ndarray, a: np.ndarray, b: np.ndarray, rest: np.ndarray)
 
 def _step(measurement: Measurement, frames: np.ndarray, lag: int) -> np.ndarray:
     """Median distance (n,) [m] that vertices move from each frame to the one ``lag`` later in the list."""
-    assert measurement.vertices is not None
-    moved = measurement.vertices[frames[lag:]] - measurement.vertices[frames[:-lag]]
+    moved = measurement.seen_vertices[frames[lag:]] - measurement.seen_vertices[frames[:-lag]]
     distance = np.linalg.norm(np.where(np.isfinite(moved), moved, 0), axis=-1)
     seen = measurement.observed[frames[lag:]] & measurement.observed[frames[:-lag]]
     return np.array([np.median(d[s]) if s.any() else 0.0 for d, s in zip(distance, seen, strict=True)])
