@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ UNDONE = {
     "evaluate": "Nothing was evaluated:",
 }
 """What it means that a stage failed which the avatar can do without."""
+FEWEST_OF_A_CLASS = 3
+"""Held-out scans of a motion class that say something of it."""
 CENTIMETRES = ("sleeve", "length", "leg", "rise", "ease", "sleeve_ease", "neck_width", "neck_depth")
 
 
@@ -60,8 +63,9 @@ def _sentences(run: Path, evaluation: Mapping[str, Any], garments: Mapping[str, 
     if best is not None and template is not None:
         count = len(evaluation["scans"])
         lines.append(
-            f"On {count} {'scan' if count == 1 else 'scans'} that nothing was trained on, clothes of “{best['name']}” "
-            f"lie {_chamfer(best):.2f} mm from the scan's, those of the skinned template {_chamfer(template):.2f} mm."
+            f"On {count} {'scan' if count == 1 else 'scans'} that nothing was trained on (the body's shape and the "
+            f"templates are of all scans), clothes of “{best['name']}” lie {_chamfer(best):.2f} mm from the scan's, "
+            f"those of the skinned template {_chamfer(template):.2f} mm."
         )
     return lines
 
@@ -73,11 +77,33 @@ def _cautions(run: Path, evaluation: Mapping[str, Any], reasons: Mapping[str, st
     absent = [row["name"] for row in evaluation.get("rows", []) if row["missing"]]
     if absent:
         lines.append(f"Rows of the paper's table that this run does not hold: {', '.join(absent)}.")
+    lines += _no_gain(evaluation)
+    classes = Counter(scan["class"] for scan in evaluation.get("scans", {}).values())
+    if classes and min(classes.values()) < FEWEST_OF_A_CLASS:
+        lines.append("Motion classes of one or two scans say little: hold out more.")
     for name, what in UNDONE.items():
         failure = read(run / "stages", f"{name}.json").get("failure")
         if failure:
             lines.append(f"{what} {failure.splitlines()[0]} (stages/{name}.log)")
     return lines
+
+
+def _no_gain(evaluation: Mapping[str, Any]) -> list[str]:
+    """Where the avatar is farther from the scans than the template that it was trained from."""
+    best, template = _best(evaluation), _row(evaluation, "skinned template")
+    if best is None or template is None:
+        return []
+    ours, given = ({name: each["mean"] for name, each in row["all"].items()} for row in (best, template))
+    worse = [
+        f"the {name.removesuffix('_chamfer_mm')} garment lies {ours[name]:.2f} mm from the scans' "
+        f"(template {given[name]:.2f})"
+        for name in ours
+        if name.endswith("_chamfer_mm") and name != "clothes_chamfer_mm" and ours[name] > given[name]
+    ]
+    if "perceptual" in ours and ours["perceptual"] > given["perceptual"]:
+        worse.append(f"pictures differ by {ours['perceptual']:.3f} (template {given['perceptual']:.3f})")
+    told = "; ".join(worse)
+    return [f"Worse than the skinned template: {told}. Train for longer, or on more scans."] if worse else []
 
 
 def _figures(run: Path, evaluation: Mapping[str, Any]) -> list[tuple[str, str, str]]:

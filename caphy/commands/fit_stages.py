@@ -99,7 +99,7 @@ def stages(plan: Plan, count: int) -> list[Stage]:
             seconds=30 + min(count, plan.fabric_scans) * (50 + 10 * plan.fabric_rounds), may_fail=True,
         ),
         Stage(
-            "refine", "training on under the fabric found", lambda: _refine(plan),
+            "refine", "training on, under the fabric found if there is one", lambda: _refine(plan),
             inputs=(*subject, *plan.poses, run / "train", *fabrics), outputs=(run / "fabric",),
             options=training | {"budget": plan.shared(1 - FIRST)}, seconds=(1 - FIRST) * seconds, timed=timed,
         ),

@@ -129,9 +129,8 @@ def _spread(given: dict[str, Any], index: np.ndarray, count: Any, source: str) -
     """Put the K captured frames where they belong among all T, leaving missing frames empty."""
     whole = index.ndim == 1 and len(index) > 0 and index.dtype.kind in "iu"
     if not whole or index[0] < 0 or (np.diff(index) <= 0).any():
-        place = (
-            "" if not whole or index[0] < 0 else f"; at place {int(np.argmax(np.diff(index) <= 0)) + 1} it falls back"
-        )
+        countable = whole and index[0] >= 0
+        place = "" if not countable else f"; at place {int(np.argmax(np.diff(index) <= 0)) + 1} it does not rise"
         raise CaphyError(f"{source}: frame_index must be rising whole numbers (K,), the captured frames' places{place}")
     steady = [len(given[k]) for k in STEADY if k in given]
     total = max([int(index[-1]) + 1, *steady])
