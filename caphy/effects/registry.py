@@ -9,6 +9,7 @@ import pkgutil
 import sys
 from collections.abc import Callable, Mapping, Set
 from contextlib import suppress
+from difflib import get_close_matches
 from functools import cache, wraps
 from importlib.metadata import entry_points
 from numbers import Real
@@ -60,7 +61,10 @@ def find_effect(name: str) -> Effect:
     """The effect of a name; raises :class:`CaphyError` with the known names."""
     effects = registered_effects()
     if name not in effects:
-        raise CaphyError(f"there is no effect {name!r}; known: {', '.join(effects)}; add yours with --effect-file")
+        near = get_close_matches(name, effects, 1)
+        meant = f" (did you mean {near[0]}?)" if near else ""
+        known = ", ".join(effects)
+        raise CaphyError(f"there is no effect {name!r}{meant}; known: {known}; add yours with --effect-file")
     return effects[name]()
 
 

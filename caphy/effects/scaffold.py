@@ -37,7 +37,11 @@ class {class_name}(Effect):
     needs_step = True  # it acts only in motion (it reads velocity or history)
 
     def rest(self, cloth):
-        """What each element is at rest: arrays whose last axis runs over the elements."""
+        """What each element is at rest: arrays whose last axis runs over the elements.
+
+        cloth has vertices (V, 3), vertex_area, mass [kg] (V,), edges (E, 2), faces, material and face_area of faces,
+        hinges (H, 4), density [kg/m^2], attached (V,) and more: see caphy/effects/cloth.py.
+        """
         return {{"area": cloth.vertex_area}}
 
     def energy(self, e, p):

@@ -179,5 +179,5 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_unknown_effect_is_refused_with_the_known_names() -> None:
-    with pytest.raises(CaphyError, match="no effect 'windd'; known: added_mass, air_drag_normal"):
-        find_effect("windd")
+    with pytest.raises(CaphyError, match="no effect 'wnid'; known: added_mass, air_drag_normal"):
+        find_effect("wnid")
