@@ -61,7 +61,8 @@ def insert_curve(vertices: np.ndarray, faces: np.ndarray, field: Field) -> tuple
 
 def _both_sides(faces: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Which faces (F,) have corners on both sides of the curve where ``value`` (V,) is zero."""
-    return (value[faces] < 0).any(axis=1) & (value[faces] > 0).any(axis=1)
+    of_corners = value[faces]
+    return (of_corners.min(axis=1) < 0) & (of_corners.max(axis=1) > 0)
 
 
 def _crossed(faces: np.ndarray, value: np.ndarray) -> np.ndarray:
