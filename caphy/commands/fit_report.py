@@ -63,8 +63,8 @@ def _sentences(run: Path, evaluation: Mapping[str, Any], garments: Mapping[str, 
     if best is not None and template is not None:
         count = len(evaluation["scans"])
         lines.append(
-            f"On {count} {'scan' if count == 1 else 'scans'} that nothing was trained on (the body's shape and the "
-            f"templates are of all scans), clothes of “{best['name']}” lie {_chamfer(best):.2f} mm from the scan's, "
+            f"On {count} {'scan' if count == 1 else 'scans'} that nothing was trained on (but the body's shape is of "
+            f"all scans), clothes of “{best['name']}” lie {_chamfer(best):.2f} mm from the scan's, "
             f"those of the skinned template {_chamfer(template):.2f} mm."
         )
     return lines

@@ -76,16 +76,16 @@ def stages(plan: Plan, count: int) -> list[Stage]:
             options={"body": plan.body}, seconds=15 + 8 * count,
         ),
         Stage(
-            "garments", "choosing the garments' templates", lambda: _garments(plan),
-            inputs=(*labelled, run / "body.npz"), outputs=(run / "garments.json",),
-            whole=lambda: all((run / f"{kind}.npz").is_file() for kind in kinds(run)),
-            options={"body": plan.body, "fabric": plan.fabric}, seconds=180,
-        ),
-        Stage(
             "points", "splitting the scans", lambda: _points(plan),
             inputs=(*labelled, run / "body.npz"),
             outputs=(run / "points", run / "split.json", run / "subject_body.npz"),
             options={"hold_out": plan.hold_out, "seed": plan.seed, "body": plan.body}, seconds=1 + 0.2 * count,
+        ),
+        Stage(
+            "garments", "choosing the garments' templates", lambda: _garments(plan),
+            inputs=(*labelled, run / "body.npz", run / "split.json"), outputs=(run / "garments.json",),
+            whole=lambda: all((run / f"{kind}.npz").is_file() for kind in kinds(run)),
+            options={"body": plan.body, "fabric": plan.fabric}, seconds=180,
         ),
         Stage(
             "train", "training on physics and scans", lambda: _train(plan),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -50,7 +50,10 @@ class Body:
 
 @dataclass(frozen=True)
 class Garments:
-    """Choose the garment templates worn in the scans, on the body that 'caphy register body' found."""
+    """Choose the garment templates worn in the scans, on the body that 'caphy register body' found.
+
+    Scans that a split.json there holds out are not looked at.
+    """
 
     scans: tyro.conf.Positional[Path]
     """Folder of scans with a scans.toml."""
@@ -217,7 +220,8 @@ def _garment(
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
     from caphy.register.template import COMPARED, choose, plainest
 
-    chosen = plainest(fit.placements)
+    shown = _shown(command.output, fit.names)
+    chosen = [shown[i] for i in plainest([fit.placements[i] for i in shown])]
     names = [fit.names[i] for i in chosen]
     clouds = [Cloud.of(scans[scans.names.index(name)]) for name in names]
     targets = [
@@ -249,6 +253,14 @@ def _garment(
     told = {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
     kept.keep(whole, {"told": np.array(json.dumps(told)), "digest": np.array(digest(path.read_bytes()))})
     return told
+
+
+def _shown(run: Path, names: Sequence[str]) -> list[int]:
+    """Numbers of the scans that templates may be chosen by: those to train on, or all where none are held out yet."""
+    from caphy.register.points import SPLIT, read_split
+
+    train = read_split(run)["train"] if (run / SPLIT).is_file() else []
+    return [i for i, name in enumerate(names) if name in train] or list(range(len(names)))
 
 
 def _chosen(kept: Kept, key: str, choose: Callable[[], Choice]) -> Choice:

@@ -126,6 +126,8 @@ def test_only_held_out_scans_are_evaluated(finished):
     split = json.loads((run / "split.json").read_text())
     evaluation = json.loads((run / "evaluation.json").read_text())
     assert list(evaluation["scans"]) == split["held_out"] and not set(split["held_out"]) & set(split["train"])
+    chosen_by = [found["scans"] for found in json.loads((run / "garments.json").read_text()).values()]
+    assert len(chosen_by) == 2 and all(set(scans) == set(split["train"]) for scans in chosen_by)
     rows = {row["name"]: row for row in evaluation["rows"]}
     template = rows["skinned template"]["all"]
     assert 0 < template["mean_mm"]["mean"] <= template["clothes_chamfer_mm"]["mean"] < 30
