@@ -60,7 +60,7 @@ def _paired(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if any(edge.size for edge in _shared_wrongly(directed)):
         raise ValueError(f"hinges need an oriented manifold mesh: {check_manifold(faces).describe()}")
     code, _ = _coded(np.sort(directed, axis=1))
-    order = np.argsort(2 * code + (directed[:, 0] > directed[:, 1]))
+    order = np.argsort(2 * code + (directed[:, 0] > directed[:, 1]), kind="stable")
     same = code[order[1:]] == code[order[:-1]]
     first, second = order[:-1][same], order[1:][same]
     opposite = np.roll(faces, -2, axis=1).reshape(-1)
