@@ -20,7 +20,7 @@ from caphy.material.fabrics import fabric, fabric_names
         ({"strain_stvk": {"lame_mu": -1.0}}, r"lame_mu must lie in \[0, 100000\] N/m, got -1"),
         ({"gravity": {"acceleration": 9.81}}, r"acceleration must have shape \(3,\), got \(\)"),
         ({"body_friction": {}}, "body_friction needs body_contact in the same model"),
-        ({"nothing": {}}, "there is no effect 'nothing'; known"),
+        ({"xyz": {}}, "there is no effect 'xyz'; known"),
         ({"pressur": {}}, r"'pressur' \(did you mean pressure\?\); known"),
     ],
 )
