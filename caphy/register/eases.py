@@ -36,8 +36,8 @@ from caphy.solve.statics import drape
 
 SCANS, ROUNDS = 3, 4
 """Scans in which a style is hung, the plainest, and how often."""
-UNSETTLED = 1
-"""Of these times the first, whose eases are on their way and do not count."""
+AVERAGED = 3
+"""Of these times the last, whose eases are no longer on their way."""
 ON_THE_WAY = 0.5
 """Time from the T-pose into a scan's pose [s]."""
 EDGE_LENGTHS = (0.036, 0.033, 0.030)
@@ -108,7 +108,7 @@ def hung_eases(
         gains = area_gains(garment.vertices, garment.faces, slopes)
         now = now + eases_step(seen, gains, parts, now - usual, spread, (-now, most - now))
         found.append(now)
-    return replace(style, **dict(zip(names, np.mean(found[UNSETTLED:], axis=0).tolist(), strict=True)))
+    return replace(style, **dict(zip(names, np.mean(found[-AVERAGED:], axis=0).tolist(), strict=True)))
 
 
 def _coarse(style: Family, body: BodyModel, model: Model) -> tuple[Garment, Cloth]:
