@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from caphy.io.measurements import Measurement
-from caphy.io.measurements.checks import mesh_edges
+from caphy.io.measurements.checks import edges_at_rest
 from caphy.measure.noise import measurement_noise
 
 SMALLEST, LARGEST = 0.9, 1.2
@@ -16,10 +16,9 @@ _FRAMES = 20
 def misfitting(measurement: Measurement) -> str | None:
     """Doubt in words where most edges are shorter or longer than in the rest mesh; none where they are not, or there is
     nothing to compare."""
-    if measurement.rest_vertices is None or measurement.vertices is None or measurement.faces is None:
+    if (known := edges_at_rest(measurement)) is None:
         return None
-    a, b = mesh_edges(measurement.faces).T
-    rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
+    a, b, rest = known
     frames = measurement.seen_vertices[:: max(len(measurement) // _FRAMES, 1)]
     noise = measurement_noise(measurement)
     longer = 0.0 if noise is None else 6 * noise.sigma**2  # three coordinates at either end

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from caphy.io.measurements import Measurement
-from caphy.io.measurements.checks import mesh_edges
+from caphy.io.measurements.checks import edges_at_rest
 from caphy.measure.noise import measurement_noise
 
 LONGEST = 2.5
@@ -16,10 +16,9 @@ SURE = 6.0
 
 def torn(measurement: Measurement) -> str | None:
     """Doubt in words where edges are longer than those of any cloth; none where there are none, or no rest mesh."""
-    if measurement.rest_vertices is None or measurement.vertices is None or measurement.faces is None:
+    if (known := edges_at_rest(measurement)) is None:
         return None
-    a, b = mesh_edges(measurement.faces).T
-    rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
+    a, b, rest = known
     noise = measurement_noise(measurement)
     longest = LONGEST * rest + SURE * np.sqrt(2) * (0.0 if noise is None else noise.sigma)
     worst, frames, found = 0.0, 0, (0, 0)

@@ -29,8 +29,8 @@ from caphy.refit.again import Again
 from caphy.refit.columns import addition
 from caphy.refit.evidence import evidence
 from caphy.refit.fit import Fit
-from caphy.refit.heldout import Apart
-from caphy.refit.refit import refit
+from caphy.refit.heldout import Apart, HeldOut
+from caphy.refit.refit import Refit, refit
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -249,6 +249,14 @@ def test_the_commands_write_what_they_say_and_go_on_where_they_were_stopped(tmp_
     assert again.history[-1].error_after < again.history[-1].error_before
     assert "before" in better.with_suffix(".html").read_text()
     assert not better.with_suffix(".unfinished").exists()
+    refused = Refit(
+        MODEL, (), (), {}, HeldOut(5.0, 4.9, None, *2 * (np.ones(1),), 0.0, 1.0), "does not hold", 0.1, True
+    )
+    monkeypatch.setattr("caphy.refit.refit.refit", lambda *_: refused)
+    for add in ((), ("--add", "pressure")):  # a script that goes on with the new model must hear of it
+        assert main(["refit", model, measured_path, *add, "-o", str(tmp_path / "none.json")]) == 1
+        assert "does not hold\nThe model stays as it was" in capsys.readouterr().out
+        assert not (tmp_path / "none.json").exists()
 
 
 def test_what_clouds_tell_is_told_by_those_registered_again(named, apart, dragged, monkeypatch):

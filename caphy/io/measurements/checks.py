@@ -127,6 +127,14 @@ def mesh_edges(faces: np.ndarray) -> np.ndarray:
     return np.unique(pairs, axis=0)
 
 
+def edges_at_rest(measurement: Measurement) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """The ends (E,), (E,) of a registered mesh's edges and their lengths at rest (E,) [m]; none without a rest mesh."""
+    if measurement.rest_vertices is None or measurement.vertices is None or measurement.faces is None:
+        return None
+    a, b = mesh_edges(measurement.faces).T
+    return a, b, np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
+
+
 def _require_same_pattern(measurement: Measurement) -> None:
     """Edges must be about as long in the flat rest shapes as in the rest mesh."""
     if measurement.rest_vertices is None or measurement.material is None or measurement.faces is None:
@@ -213,10 +221,9 @@ def _require_no_repeats(measurement: Measurement) -> None:
 
 def _require_same_mesh(measurement: Measurement) -> None:
     """Edges must be about as long as at rest: cloth does not stretch twofold, nor do vertices change places."""
-    if measurement.rest_vertices is None or measurement.vertices is None or measurement.faces is None:
+    if (known := edges_at_rest(measurement)) is None:
         return
-    a, b = mesh_edges(measurement.faces).T
-    rest = np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
+    a, b, rest = known
     frames = measurement.seen_frames
     each = [_lengths_over(measurement.seen_vertices[frame], a, b, rest) for frame in frames]
     ratio = np.concatenate(each[:: max(len(frames) // 20, 1)])
