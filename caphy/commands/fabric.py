@@ -154,12 +154,12 @@ def _fit(
     guess = _network(options.run / TRAINED, subject, kind)
     fitted = fit_fabric(worn, start, options.rounds, objective, guess, say, options.mesh_corrections, kept)
     for number in range(options.alternations):
-        model = settled_model(fitted, Certainty.of(fitted), "fabric fitted to scans")
+        model = settled_model(fitted, Certainty.of(fitted))
         guess = _trained_on(options, subject, kind, model, number)
         after = fit_fabric(worn, model, options.rounds, objective, guess, say, options.mesh_corrections, kept)
         fitted = _again(fitted, after)
     sure = Certainty.of(fitted)
-    model = settled_model(fitted, sure, "fabric fitted to scans at rest", tuple(one.still.name for one in worn))
+    model = settled_model(fitted, sure, tuple(one.still.name for one in worn))
     found = record(fitted, sure, model, objective)
     return {**found, "left_out": left_out | found["left_out"]}, model, start
 
@@ -224,9 +224,8 @@ def _figures(start: Model, model: Model) -> list[str]:
 
 
 def _told(kind: str, found: dict[str, Any]) -> list[str]:
-    lines = [
-        f"{kind}: {found['scans']} scans, {len(found['rounds'])} rounds" + ("" if found["settled"] else ", not settled")
-    ]
+    rounds = f"{len(found['rounds'])} round{'s' * (len(found['rounds']) != 1)}"
+    lines = [f"{kind}: {found['scans']} scans, {rounds}" + ("" if found["settled"] else ", not settled")]
     for name, row in found["stiffness"].items():
         if row["interval"] is None:
             lines.append(f"  {name}: not determined by these scans; the start's table is kept")

@@ -231,8 +231,8 @@ def _tell(
     from caphy.training.validate import SHORTEST
 
     print(
-        f"{garment.name}: {len(garment.vertices)} vertices, {len(trainer.track.motions)} frames of {len(trained)} "
-        f"clips (mirrored, at three speeds), {len(held_out)} clips held out"
+        f"{garment.name}: {len(garment.vertices)} vertices, {len(trainer.track.motions)} frames of {_clips(trained)} "
+        f"(mirrored, at three speeds), {_clips(held_out)} held out"
     )
     if initial is not None and "transferred_from" in initial.record:
         begun = initial.record
@@ -247,6 +247,10 @@ def _tell(
         print(f"note: nothing is validated, no clip held out has {SHORTEST} frames at {trainer.network.fps:g} fps")
     for name, what in blind_spots(trainer.objective.potential).items():
         print(f"note: {name} depends on {what}, which the network does not see: it learns the average")
+
+
+def _clips(motions: list[PoseSequence]) -> str:
+    return f"{len(motions)} clip{'s' * (len(motions) != 1)}"
 
 
 def _scans(options: Train, garment: Garment, objective: Objective, network: GarmentNetwork) -> Scans | None:

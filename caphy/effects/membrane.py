@@ -132,10 +132,7 @@ class Membrane(Effect):
         stress, tangent = self._responded(strain, e, p)
         if convex and self.semidefinite:
             return positive_part(stress), tangent
-        if convex:
-            whole = torch.stack([tangent[place] for place in _PLACES]).unflatten(0, (3, 3))
-            return positive_part(stress), _entries(clamp_eigenvalues(whole[None, :, None])[0, :, 0])
-        return stress, tangent
+        return (positive_part(stress), _positive(tangent)) if convex else (stress, tangent)
 
     def _stressed(self, strain: Symmetric, e: Elements, p: Values) -> tuple[Tensor, Symmetric]:
         """Density (..., n) and stress; override with a closed form where speed pays."""
@@ -174,6 +171,19 @@ def _row(stress: Tensor, inputs: list[Tensor]) -> Tensor:
     if not stress.requires_grad:
         return torch.zeros_like(torch.stack(inputs))
     return torch.stack(torch.autograd.grad(stress.sum(), inputs, retain_graph=True, materialize_grads=True))
+
+
+def _positive(tangent: Tangent) -> Tangent:
+    """Tangents without their negative eigenvalues."""
+    if tangent[0].device.type == "cpu":
+        from caphy.effects.tangent_kernels import positive_tangents
+
+        entries = torch.stack(tangent).detach()
+        found = torch.empty_like(entries, memory_format=torch.contiguous_format)
+        positive_tangents(entries.reshape(6, -1).numpy(), found.view(6, -1).numpy())
+        return tuple(found)  # pyright: ignore
+    whole = torch.stack([tangent[place] for place in _PLACES]).unflatten(0, (3, 3))
+    return _entries(clamp_eigenvalues(whole[None, :, None])[0, :, 0])
 
 
 _PLACES = (0, 3, 4, 3, 1, 5, 4, 5, 2)  # of the entries of a whole tangent, row by row

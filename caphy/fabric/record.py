@@ -14,8 +14,10 @@ from caphy.fabric.rounds import Fitted, Objective
 NOT_DETERMINED = "not determined"
 
 
-def settled_model(fitted: Fitted, sure: Certainty, note: str, data: tuple[str, ...] = ()) -> Model:
+def settled_model(fitted: Fitted, sure: Certainty, data: tuple[str, ...] = ()) -> Model:
     """The model found, with the start's table where the scans determine none, and the change in its history."""
+    determined = [name for name in fitted.numbers.names if sure.determined[name]]
+    note = f"{' and '.join(determined)} fitted to scans at rest" if determined else "scans at rest determined nothing"
     known = np.array([sure.determined[fitted.numbers.names[group]] for group in fitted.numbers.group])
     start = fitted.numbers.start
     kept = np.array([column.value(start) for column in fitted.numbers.columns])

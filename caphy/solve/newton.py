@@ -41,9 +41,10 @@ _STILL = 2e-3  # a vertex keeps its contact plane until it has moved this far [m
 _GROWTH = 2  # ... and this many times farther before each further renewal
 _TURN, _RADIUS = 0.02, 5e-3  # a normal may turn this far, plus one radian per move of this many metres
 _MOST = 0.5  # however far the vertex moved
-_SETTLING = 1000  # times the tolerance: the residual at which all planes are renewed once
-_SETTLED = 1e-5  # at convergence those are renewed whose vertices have moved farther than this since [m]:
-_RENEWALS, _STATIC_RENEWALS = 1, 30  # so often at most
+_SETTLING = 1000  # times the tolerance: the residual at which planes are renewed first
+_SETTLED = 1e-5  # of vertices that have moved farther than this since [m]; then again at convergence, in statics
+_STATIC_SETTLING = 0.1  # whenever the residual has fallen to this share of what the last renewal made of it:
+_RENEWALS, _STATIC_RENEWALS = 1, 60  # so often at most, after the first
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class _Planes:
         return self._renew(x, self._least)
 
     def settle(self, x: Tensor, renewals: int) -> bool:
-        """Renew planes, once near convergence and then ``renewals`` times at most; tells whether any was."""
+        """Renew planes, once and then ``renewals`` times at most; tells whether any was."""
         if self._settled > renewals:
             return False
         self._settled += 1
@@ -171,11 +172,12 @@ class Newton:
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise Diverged(self._why_not(here, step))
-        level, leaps, factor = 0, 0, None
+        level, leaps, factor, settling = 0, 0, None, _SETTLING * self.tolerance
         for iteration in range(self.max_iterations):
-            renewals = (_STATIC_RENEWALS if step is None else _RENEWALS) if here.residual <= self.tolerance else 0
-            if here.residual <= _SETTLING * self.tolerance and planes.settle(here.x, renewals):
-                here = self._evaluate(here.x, step, planes.state)
+            if here.residual <= max(settling, self.tolerance):
+                if planes.settle(here.x, _STATIC_RENEWALS if step is None else _RENEWALS):
+                    here = self._evaluate(here.x, step, planes.state)
+                settling = _STATIC_SETTLING * here.residual if step is None else 0.0
             if here.residual <= self.tolerance:
                 return here.x, Report(True, iteration, here.residual, "converged")
             if (there := self._by_last(factor, here, step)) is not None:

@@ -128,7 +128,7 @@ def test_a_planted_fabric_is_found_from_a_wrong_one(scans):
     assert found == pytest.approx({"strain_measured": 1.0, "bending_measured": 1.0}, abs=0.1)
     sure = Certainty.of(fitted)
     assert all(sure.determined.values())
-    document = record(fitted, sure, settled_model(fitted, sure, "fitted"), "response")
+    document = record(fitted, sure, settled_model(fitted, sure), "response")
     low, high = document["stiffness"]["strain_measured"]["interval"]
     assert low < document["stiffness"]["strain_measured"]["over_the_start"] < high
     changed = document["model"]["history"][-1]["parameters"]
@@ -276,11 +276,12 @@ def test_what_scans_do_not_tell_is_not_determined_and_keeps_the_start_s_table():
     fitted = Fitted(numbers, values, history)
     sure = Certainty.of(fitted)
     assert sure.determined == {"strain_measured": True, "bending_measured": False}
-    model = settled_model(fitted, sure, "fitted")
+    model = settled_model(fitted, sure)
     np.testing.assert_array_equal(
         model.effects["bending_measured"]["bending"], PLANTED.effects["bending_measured"]["bending"]
     )
     document = record(fitted, sure, model, "response")
+    assert document["model"]["history"][-1]["note"] == "strain_measured fitted to scans at rest"
     assert document["stiffness"]["bending_measured"]["over_the_start"] == NOT_DETERMINED
     told = {row["name"]: row["found"] for row in document["numbers"]}
     assert told["bending_measured.bending[0,0]"] == NOT_DETERMINED
