@@ -88,8 +88,10 @@ class _Planes:
     turned no more than the move explains. Off the creases they are the true tangent planes at convergence.
     """
 
-    def __init__(self, body: Body | None, x: Tensor) -> None:
+    def __init__(self, body: Body | None, x: Tensor, due: float) -> None:
         self._body, self._x = body, x
+        self.due = due
+        """Residual at which they are to settle [N]."""
         self.state = None if body is None else body(x)
         self._settled, self._least = 0, x.new_full((len(x),), _STILL)
 
@@ -168,16 +170,14 @@ class Newton:
         Raises:
             Diverged: the guess or its energy is not finite.
         """
-        planes = _Planes(body, guess)
+        planes = _Planes(body, guess, _SETTLING * self.tolerance)
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise Diverged(self._why_not(here, step))
-        level, leaps, factor, settling = 0, 0, None, _SETTLING * self.tolerance
+        level, leaps, factor = 0, 0, None
         for iteration in range(self.max_iterations):
-            if here.residual <= max(settling, self.tolerance):
-                if planes.settle(here.x, _STATIC_RENEWALS if step is None else _RENEWALS):
-                    here = self._evaluate(here.x, step, planes.state)
-                settling = _STATIC_SETTLING * here.residual if step is None else 0.0
+            if here.residual <= max(planes.due, self.tolerance):
+                here = self._settled(here, step, planes)
             if here.residual <= self.tolerance:
                 return here.x, Report(True, iteration, here.residual, "converged")
             if (there := self._by_last(factor, here, step)) is not None:
@@ -237,6 +237,13 @@ class Newton:
     def _followed(self, there: _Point, step: Step | None, planes: _Planes) -> _Point:
         """A trial state as it is seen once contact planes have followed it."""
         return self._evaluate(there.x, step, planes.state) if planes.follow(there.x) else there
+
+    def _settled(self, here: _Point, step: Step | None, planes: _Planes) -> _Point:
+        """A state as it is seen once contact planes have settled."""
+        if planes.settle(here.x, _STATIC_RENEWALS if step is None else _RENEWALS):
+            here = self._evaluate(here.x, step, planes.state)
+        planes.due = _STATIC_SETTLING * here.residual if step is None else 0.0
+        return here
 
     def _by_last(self, factor: Factor | None, here: _Point, step: Step | None) -> _Point | None:
         """Where the factor of an iteration before leads from near the minimum; None where it does not help."""

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from small_session import PLAN, small_session
 
 from caphy.body.bundled import default_body
-from caphy.capture.drape import Dresser
+from caphy.capture.drape import FINE, Dresser
 from caphy.capture.fusion import _noise
 from caphy.capture.optics import Optics
 from caphy.capture.poses import capture_poses
@@ -164,10 +164,18 @@ def test_simulated_cloth_is_at_rest_outside_the_body(session):
     dresser = Dresser(only, poses)
     cloth, report = dresser.dressed(0)
     posed = trimesh.Trimesh(subject.body.pose(poses.poses, poses.transl)[0], body.faces, process=False)
-    assert report["lower"]["residual_N"] < 2e-3
+    assert report["lower"]["converged"] and report["lower"]["residual_N"] <= FINE
     inside = posed.contains(cloth["lower"])
     assert inside.mean() < 0.01
     template = only.garments["lower"].vertices
     hem = template[:, 1] < template[:, 1].min() + 0.02
     skinned = Dresser(only, poses, simulate=False).dressed(0)[0]["lower"]
     assert np.linalg.norm(cloth["lower"] - skinned, axis=1)[hem].mean() > 0.005  # it hangs, and is not just carried
+
+
+def test_a_shirt_that_slides_comes_to_rest(session):
+    """Nothing rubs, so the flat of the minimum is wide: with planes renewed at convergence alone it took 300."""
+    subject = make_subject(default_body("medium"), 5, "tank", "skirt", edge_length=0.045)
+    only = replace(subject, garments={"upper": subject.garments["upper"]})
+    _, report = Dresser(only, read_poses(session / "truth" / "poses.npz")).dressed(1)
+    assert report["upper"]["converged"] and report["upper"]["iterations"] < 180
