@@ -37,7 +37,7 @@ COMMANDS = {
 }
 LISTS = ("--base", "--held-out", "--effect-file", "--poses", "--motions", "--garments", "--kinds", "--betas")
 """Options with any number of values; given twice, the last ones alone would count."""
-INTERRUPTED = 128 + signal.SIGINT
+INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
 
 
 def usage() -> str:
@@ -51,8 +51,12 @@ def command() -> NoReturn:
     """Run what the command line asks for, as a program."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _once)
+    signal.signal(signal.SIGTERM, _once)  # of timeout and of queues of batches
     status = main()
-    if status == INTERRUPTED:  # threads that write to processes which are gone would be waited for for ever
+    if status in (
+        INTERRUPTED,
+        TERMINATED,
+    ):  # threads that write to processes which are gone would be waited for for ever
         if (util := sys.modules.get("multiprocessing.util")) is not None:
             for child in sys.modules["multiprocessing"].active_children():
                 child.kill()  # one that still begins would miss its semaphores
@@ -66,8 +70,9 @@ def command() -> NoReturn:
 
 def _once(number: int, frame: FrameType | None) -> NoReturn:
     """End at the first Ctrl-C; further ones, as of the impatient and of ``timeout``, would break off the ending."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    raise KeyboardInterrupt
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    raise KeyboardInterrupt(128 + number)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -102,8 +107,8 @@ def _run(name: str, rest: list[str]) -> int:
     except BrokenPipeError:  # whoever reads our output has seen enough, as in caphy effects list | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
         return 128 + signal.SIGPIPE
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    except KeyboardInterrupt as stopped:
+        return stopped.args[0] if stopped.args else INTERRUPTED
     except OSError as error:  # a place that cannot be read or written, a full disk
         if error.strerror is None:
             raise

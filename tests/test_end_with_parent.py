@@ -107,3 +107,13 @@ def test_ctrl_c_does_not_wait_for_what_is_written_to_processes_that_are_gone(
         [*HEEDS, str(script), *after], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
     )
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
+def test_what_timeout_sends_ends_it_as_ctrl_c_does(tmp_path: Path) -> None:
+    """To the command alone, whose processes and semaphores nobody else would clear away."""
+    script = tmp_path / "parent.py"
+    script.write_text(
+        WRITING.replace("os.killpg, (os.getpgrp(), signal.SIGINT)", "os.kill, (os.getpid(), signal.SIGTERM)")
+    )
+    ended = subprocess.run([*HEEDS, str(script), "0.3"], capture_output=True, text=True, check=False, timeout=60)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (143, "", "")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 
 from caphy.commands.before_after import before_and_after
@@ -82,6 +83,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> int:
     from caphy.body.model import BodyModel
     from caphy.diagnose.base import base_of
     from caphy.diagnose.checks import require_one_cloth
+    from caphy.diagnose.figures import learned_of
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
     from caphy.measure.remarks import remarks
@@ -102,7 +104,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> int:
         with Progress("refit") as progress:
             learned = base_of(model, calm, garment, body, progress, crew)
             found = refit(model, measured, command.add, proof, garment, body, progress, crew, learned)
-        print(table(found))
+        print("\n".join([*learned_of(learned), table(found)] if learned else [table(found)]))
         if found.refused:
             print("The model stays as it was; nothing was written.")
             return 1
@@ -130,10 +132,10 @@ def _write(
         error_after=held.after_mm / 1e3,
         floor=None if held.floor_mm is None else held.floor_mm / 1e3,
     )
-    write_text(command.output, new.to_json())
     page = command.output.with_suffix(".html")
     name = Path(command.model).stem
     write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
+    write_text(command.output, new.to_json())  # last: it may take the place of the model that a stopped run begins with
     print(f"\n{command.output}\n{page}")
     files = (word for file in command.effect_file for word in ("--effect-file", file))
     train = following("train", "--init", "AVATAR", "--model", command.output, *files)
@@ -151,4 +153,23 @@ def table(found: Refit) -> str:
         f"misfit: {100 * found.share:.1f} % less where it was fitted, {100 * held.share:.1f} % less where it was not",
         f"held-out median distance: {held.before_mm:.2f} -> {held.after_mm:.2f} mm{floor}",
     ]
+    lines += _held(found)
     return "\n".join([*lines, found.reason] if found.reason else lines)
+
+
+def _held(found: Refit) -> list[str]:
+    """Parameters of added effects that are not fitted, and what they stay at."""
+    from caphy.effects.registry import find_effect
+
+    told = {name.partition("[")[0] for name in found.coefficients}
+    lines = []
+    for name in found.kept:
+        effect = find_effect(name)
+        for key, parameter in effect.parameters.items():
+            if f"{name}.{key}" not in told:
+                value = np.asarray(found.model.effects[name][key]).tolist()
+                what = "" if key in effect.further else ", in which the effect is not linear"
+                lines.append(f"{name}.{key}{what}, is held at {value} {parameter.unit}")
+    if lines and any("not linear" in line for line in lines):
+        lines.append("(an effect's `further` says which of these are to be fitted too, and where to look for them)")
+    return lines

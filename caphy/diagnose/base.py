@@ -16,6 +16,7 @@ import numpy as np
 
 from caphy.body.model import BodyModel
 from caphy.diagnose.checks import check_cloth
+from caphy.diagnose.earlier import Earlier, earlier
 from caphy.diagnose.flexible import Flexible
 from caphy.diagnose.groups import Group, columns_of, library, own_groups
 from caphy.diagnose.probes import Probes
@@ -64,6 +65,7 @@ class Base(Learned):
         probes: best gain of flexible forces there.
         median_mm: median distance there.
         why_not: why its clouds could not be registered again by parameters that were moved, where that failed.
+        before: what the model was when they were measured, where effects were added to it since.
     """
 
     changed: dict[str, float]
@@ -72,6 +74,7 @@ class Base(Learned):
     probes: float
     median_mm: float
     why_not: str = ""
+    before: Earlier | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +120,16 @@ def base_of(
     progress: Progress | None = None,
     crew: Crew | None = None,
 ) -> Base | None:
-    """Learned from base measurements; nothing without any."""
+    """Learned from base measurements; nothing without any. What was added to the model after them stays as it is."""
     if not measurements:
         return None
     scenes = checked_scenes(measurements, model, garment, body, progress, crew)
-    return from_base(Study(scenes, progress=progress, crew=crew), model)
+    study = Study(scenes, progress=progress, crew=crew)
+    before = earlier(study, model)
+    if not before.later:
+        return from_base(study, model)
+    learned = from_base(study.registered_by(before.model), before.model)
+    return replace(learned, model=before.with_later(learned.model, model), before=before)
 
 
 def from_base(study: Study, model: Model) -> Base:

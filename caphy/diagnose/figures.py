@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from caphy.diagnose.base import Base
 from caphy.diagnose.diagnosis import Coefficient, Diagnosis
 from caphy.diagnose.noticed import LISTED
 from caphy.diagnose.search import least_wald
@@ -47,6 +48,7 @@ def figures(diagnosis: Diagnosis) -> dict:
             "gain": base.gain,
             "median_mm": base.median_mm,
             "parameters_changed": base.changed,
+            "before": base.before and list(base.before.later),
             "mesh": base.mesh,
             "correction": dict(base.correction),
             "held_out_mm": diagnosis.by_base
@@ -92,13 +94,27 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.held_out is not None and diagnosis.coefficients:
         held = diagnosis.held_out
         said.append(f"On held-out measurements it falls from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
-    if diagnosis.base is not None and diagnosis.base.changed:
-        moved = ", ".join(f"{name} {100 * by:+.3g} %{_limit(by)}" for name, by in diagnosis.base.changed.items())
-        said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
+    if diagnosis.base is not None:
+        said += learned_of(diagnosis.base)
     if diagnosis.by_base is not None:
         held = diagnosis.by_base
         said.append(f"By that the held-out median went from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
     return said + [f"Note: {note}." for note in diagnosis.notes]
+
+
+def learned_of(base: Base) -> list[str]:
+    """What base measurements did to the model, in words; nothing where they left it as it was."""
+    said = []
+    if base.before is not None:
+        without, whole = base.before.median_mm
+        said.append(
+            f"The base measurements are taken to be of before {_listed(base.before.later)} came into the model, which "
+            f"lies {without:.2f} mm from them without, {whole:.2f} mm with: it stays as it is."
+        )
+    if base.changed:
+        moved = ", ".join(f"{name} {100 * by:+.3g} %{_limit(by)}" for name, by in base.changed.items())
+        said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
+    return said
 
 
 def _answer(diagnosis: Diagnosis) -> str:

@@ -18,6 +18,9 @@ from caphy.errors import CaphyError
 
 _KEYS = {"schema", "density_kg_per_m2", "effects", "history"}
 
+DENSEST = 10.0
+"""What a file's cloth may weigh at most [kg/m^2]: five times the heaviest leather."""
+
 ParameterValues = Mapping[str, Any]
 """Values by parameter: numbers or nested sequences when given, arrays once in a model."""
 
@@ -30,7 +33,10 @@ def checked_values(effect_name: str, given: Mapping[str, object]) -> dict[str, n
         raise CaphyError(f"{effect_name} has no parameter {unknown[0]!r}; it has: {', '.join(declared) or 'none'}")
     values = {}
     for name, parameter in declared.items():
-        value = np.asarray(given.get(name, parameter.default), dtype=float)
+        value = np.asarray(given.get(name, parameter.default))
+        if value.dtype.kind not in "iuf":
+            raise CaphyError(f"{effect_name}.{name} must be numbers [{parameter.unit}], got {value.tolist()!r}")
+        value = value.astype(float)
         shape = np.shape(parameter.default)
         if value.shape != shape:
             raise CaphyError(f"{effect_name}.{name} must have shape {shape}, got {value.shape}")
@@ -122,14 +128,19 @@ class Model:
     def from_json(cls, text: str, source: str = "model") -> Model:
         """Inverse of :meth:`to_json`; ``source`` names the file in errors."""
         try:
-            data = json.loads(text)
+            data = json.loads(text, object_pairs_hook=_each_once)
             unknown = sorted(set(data) - _KEYS)
             if unknown and "format" not in data:  # with one it is a document that is a model as well
                 raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(_KEYS))}")
-            if isinstance(data["density_kg_per_m2"], bool):
-                raise TypeError("density_kg_per_m2 must be a number, got true or false")
+            if "format" not in data and data.get("schema", 1) != 1:
+                raise ValueError(f"schema must be 1, got {data['schema']!r}; this caphy is older than the file")
+            density = data["density_kg_per_m2"]
+            if isinstance(density, (bool, str)):
+                raise TypeError(f"density_kg_per_m2 must be a number, got {json.dumps(density)}")
+            if density > DENSEST:
+                raise ValueError(f"density_kg_per_m2 must not be over {DENSEST:g}, got {density:g}; is it in g/m^2?")
             history = tuple(Revision.from_dict(entry) for entry in data.get("history", ()))
-            return cls(float(data["density_kg_per_m2"]), data["effects"], history)
+            return cls(float(density), data["effects"], history)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise CaphyError(
                 f"{source}: not a physics model ({type(error).__name__}: {error}); it must be JSON with "
@@ -142,8 +153,18 @@ class Model:
     def load(cls, path: Path) -> Model:
         """Read a model's JSON file."""
         try:
-            return cls.from_json(path.read_text(), str(path))
+            return cls.from_json(path.read_text(encoding="utf-8-sig"), str(path))
         except OSError as error:
             raise CaphyError(f"{path}: cannot be read: {error.strerror}") from error
         except UnicodeDecodeError as error:
             raise CaphyError(f"{path}: a physics model must be JSON in UTF-8, got other bytes") from error
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object whose names differ; of two the last would count, silently."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{twice!r} is there twice")
+    return found

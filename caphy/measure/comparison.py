@@ -109,7 +109,7 @@ def _overall(errors: VertexErrors, surface: SurfaceErrors, prediction: Predictio
 
 
 def _median_interval(distance: np.ndarray, window: np.ndarray) -> tuple[float, float] | None:
-    if len(np.unique(window)) < 4:
+    if len(np.unique(window)) < 4 or not np.isfinite(distance).any():
         return None
     return interval(lambda rows: MILLI * float(np.nanmedian(distance[rows])), window)
 
@@ -164,6 +164,7 @@ def _by_region(prediction: Prediction, errors: VertexErrors, regions: np.ndarray
             {
                 "region": str(name),
                 **summary(errors.distance[:, part]),
+                "interval_mm": _median_interval(errors.distance[:, part], prediction.window),
                 "normal_mm": mean_mm(errors.normal[:, part]),
                 "along_mm": summary(errors.along[:, part])["median_mm"],
                 "down_mm": mean_mm(down),

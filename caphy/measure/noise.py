@@ -52,13 +52,13 @@ def measurement_noise(measurement: Measurement) -> Noise | None:
         return Noise(1e-3 * measurement.noise_mm, "stated in the measurement")
     if measurement.noise is not None:
         return Noise(float(np.nanmedian(measurement.noise)), "stated in the measurement, median over points")
-    return _seen(measurement)
+    return scatter(measurement)
 
 
 def overstated(measurement: Measurement) -> str | None:
     """Doubt in words where a file states far more noise than its data scatter by, which hides all that it shows."""
     stated = measurement_noise(measurement)
-    seen = None if stated is None or not stated.source.startswith("stated") else _seen(measurement)
+    seen = None if stated is None or not stated.source.startswith("stated") else scatter(measurement)
     if stated is None or seen is None or stated.sigma <= _OVERSTATED * seen.sigma:
         return None
     return (
@@ -67,8 +67,8 @@ def overstated(measurement: Measurement) -> str | None:
     )
 
 
-def _seen(measurement: Measurement) -> Noise | None:
-    """What the data themselves show of their noise, no less than it is."""
+def scatter(measurement: Measurement) -> Noise | None:
+    """What the data themselves show of their noise, no less than it is; none where they are too few."""
     return _of_clouds(measurement) if measurement.vertices is None else _of_tracks(measurement)
 
 

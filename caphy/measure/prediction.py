@@ -182,7 +182,13 @@ def predict_in_windows(
         done += windows.work(start)
         if progress is not None:
             progress("rolling out", done, work)
-    return _joined(scene, [told[frame] for frame in windows.frames])
+    return replace(_joined(scene, [told[frame] for frame in windows.frames]), cautions=_lacking(model))
+
+
+def _lacking(model: Model) -> tuple[str, ...]:
+    """What every cloth has and a model has not, in words."""
+    missing = [name for name in ("inertia", "gravity") if name not in model.effects]
+    return (f"the model has no {' and no '.join(missing)}; caphy effects show {missing[0]}",) if missing else ()
 
 
 def _share_seen(measurement: Measurement, run: WindowRun, change: np.ndarray) -> float:

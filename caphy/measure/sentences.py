@@ -26,7 +26,7 @@ def _headline(figures: dict) -> str:
     error, floor, prediction = figures["error"], figures["floor"], figures["prediction"]
     what = "The model's vertices" if prediction["matched_vertices"] else "The measured points"
     way = (
-        f"restarted every {prediction['window_frames']} frames ({prediction['windows']} windows)"
+        f"restarted every {prediction['window_frames']} frames ({_windows(prediction)})"
         if prediction["restarted"]
         else "running freely"
     )
@@ -48,9 +48,11 @@ def _headline(figures: dict) -> str:
 
 
 def _where(figures: dict) -> str | None:
-    """The worst region, if it stands out from the median."""
+    """The worst region, if it stands out from the median, by its interval too."""
     worst, overall = figures["by_region"][0], figures["error"]["median_mm"]
     if worst["median_mm"] is None or worst["median_mm"] < max(1.2 * overall, overall + _NOTABLE):
+        return None
+    if worst["interval_mm"] is None or worst["interval_mm"][0] <= overall:
         return None
     text = f"Worst is the {_words(worst['region'])}: {_mm(worst['median_mm'])} off"
     low = _low(worst)
@@ -115,15 +117,17 @@ def _cautions(figures: dict) -> list[str]:
             f"Caution: the solver did not converge in {100 * (1 - prediction['converged']):.0f} % of the frames."
         )
     if prediction["restarted"] and prediction["windows"] < 4:
-        said.append(
-            f"Caution: {prediction['windows']} window(s) are too few to tell a cause from chance; measure longer."
-        )
+        said.append(f"Caution: {_windows(prediction)} cannot tell a cause from chance; measure longer.")
     if error["interval_mm"] is not None and error["interval_mm"][1] > 2 * error["interval_mm"][0]:
         low, high = error["interval_mm"]
         said.append(
             f"Parts of the motion differ much: the median lies between {_mm(low)} and {_mm(high)} with 90 % confidence."
         )
     return said
+
+
+def _windows(prediction: dict) -> str:
+    return f"{prediction['windows']} window{'s' * (prediction['windows'] != 1)}"
 
 
 def _words(region: str) -> str:

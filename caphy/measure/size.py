@@ -6,7 +6,7 @@ import numpy as np
 
 from caphy.io.measurements import Measurement
 from caphy.io.measurements.checks import edges_at_rest
-from caphy.measure.noise import measurement_noise
+from caphy.measure.noise import measurement_noise, overstated, scatter
 
 SMALLEST, LARGEST = 0.9, 1.2
 """Median edge over that at rest: cloth wrinkles rather than to be pressed together, and a knit that hangs stretches."""
@@ -20,7 +20,7 @@ def misfitting(measurement: Measurement) -> str | None:
         return None
     a, b, rest = known
     frames = measurement.seen_vertices[:: max(len(measurement) // _FRAMES, 1)]
-    noise = measurement_noise(measurement)
+    noise = scatter(measurement) if overstated(measurement) else measurement_noise(measurement)
     longer = 0.0 if noise is None else 6 * noise.sigma**2  # three coordinates at either end
     ratio = (((frames[:, a] - frames[:, b]) ** 2).sum(-1) - longer) / np.maximum(rest, 1e-12) ** 2
     seen = np.isfinite(ratio)

@@ -144,8 +144,9 @@ def _anisotropy(rows: list[dict]) -> list[str]:
     strains: dict[str, dict[str, list[float]]] = {}
     for row in rows:
         force = 0.5 * min(r["largest_force_n_per_m"] for r in rows if r["fabric"] == row["fabric"])
-        measured = row["measured"]
-        strain = float(np.interp(force, np.maximum.accumulate(measured["force"]), measured["axial"]))
+        axial, pulled = (np.array(row["measured"][key]) for key in ("axial", "force"))
+        rising = np.argsort(axial, kind="stable")  # whichever way the rows run
+        strain = float(np.interp(force, np.maximum.accumulate(pulled[rising]), axial[rising]))
         strains.setdefault(row["fabric"], {}).setdefault(row["direction"], []).append(strain)
     both = {name: ways for name, ways in strains.items() if len(ways) == 2}
     apart = [

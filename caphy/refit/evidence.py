@@ -24,6 +24,7 @@ KINDS = (
 )
 """What is said where they are."""
 
+_NOTHING = 1e-20  # curvature of a number that does nothing, in whatever unit: what is left is rounding
 _ROUNDS = 4
 _LEAST = (2e-5) ** 2  # of a mode's variance [m^2]: far below what any scanner resolves
 _WILD = 4.0  # times what a window's curvature becomes where all grow alike: what it may be
@@ -211,14 +212,16 @@ def robust_weights(known: Evidence, ridge: float = 1e-3) -> np.ndarray:
 
 
 def ridged(normal: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
-    """Solution (K,) of (A + ridge diag A) x = b."""
-    if not len(right):
-        return right
+    """Solution (K,) of (A + ridge diag A) x = b, zero for numbers that do nothing.
+
+    Each is solved for in a unit of its own: a bending's viscosity in N m s has 1e12 times the curvature of a stiffness
+    in N/m, which beside it would look like nothing.
+    """
     diagonal = np.diag(normal)
-    used = diagonal > 1e-12 * max(float(diagonal.max()), 1e-300)
-    solution = np.zeros_like(right)
-    inner = normal[np.ix_(used, used)]
-    solution[used] = np.linalg.solve(inner + ridge * np.diag(diagonal[used]), right[used])
+    used = diagonal > _NOTHING
+    solution, unit = np.zeros_like(right), np.sqrt(diagonal[used])
+    inner = normal[np.ix_(used, used)] / np.outer(unit, unit)
+    solution[used] = np.linalg.solve(inner + ridge * np.eye(len(unit)), right[used] / unit) / unit
     return solution
 
 

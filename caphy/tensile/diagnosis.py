@@ -292,9 +292,10 @@ def _rivals(ranking: Sequence[Ranked], used: Sequence[str]) -> list[str]:
     if not rivals:
         return []
     listed = ", ".join(f"{name} ({100 * gains[name]:.0f} %)" for name in rivals)
+    friction = "; unloading would, since friction opens a loop" if "hysteresis" in (named[0], *rivals) else ""
     return [
         f"From the second loading on {listed} explains the difference nearly as well as {named[0]} "
-        f"({100 * gains[named[0]]:.0f} %): loading curves do not decide; unloading would, since friction opens a loop."
+        f"({100 * gains[named[0]]:.0f} %): these curves do not decide{friction}."
     ]
 
 

@@ -44,6 +44,12 @@ def test_density_must_be_positive(density: float) -> None:
         '{"density_kg_per_m2": 0.2, "effects": {"gravity": 3}}',
         '{"density_kg_per_m2": 0.2, "effects": {}, "colour": "red"}',
         '{"density_kg_per_m2": true, "effects": {}}',
+        '{"density_kg_per_m2": "0.2", "effects": {}}',
+        '{"density_kg_per_m2": 200, "effects": {}}',
+        '{"density_kg_per_m2": 0.2, "effects": {}, "schema": 9}',
+        '{"density_kg_per_m2": 0.2, "effects": {"inertia": {}, "inertia": {}}}',
+        '{"density_kg_per_m2": 0.2, "effects": {"strain_stvk": {"lame_mu": true}}}',
+        '{"density_kg_per_m2": 0.2, "effects": {"strain_stvk": {"lame_mu": "20"}}}',
     ],
 )
 def test_a_broken_file_is_named(tmp_path: Path, text: str) -> None:
@@ -51,6 +57,11 @@ def test_a_broken_file_is_named(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(CaphyError, match=r"model\.json"):
         Model.load(path)
+
+
+def test_a_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text(snug_model().to_json(), encoding="utf-8-sig")
+    assert Model.load(tmp_path / "model.json") == snug_model()
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

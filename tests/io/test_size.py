@@ -29,6 +29,13 @@ def test_a_rest_mesh_of_another_size_is_doubted(factor, doubted, noise_mm):
         assert said in remarks([given])
 
 
+@pytest.mark.parametrize("stated_mm", [8.0, 100.0])
+def test_noise_that_is_stated_in_another_unit_makes_no_edges_short(stated_mm):
+    sheet = swinging()
+    noise = np.random.default_rng(0).normal(0, 1e-3, sheet.vertices.shape)
+    assert misfitting(replace(sheet, vertices=sheet.vertices + noise, noise_mm=stated_mm)) is None
+
+
 def test_nothing_is_said_without_a_rest_mesh():
     assert misfitting(replace(swinging(), rest_vertices=None)) is None
 

@@ -72,7 +72,15 @@ def figures(**floor) -> dict:
             "converged": 1.0,
             "cautions": [],
         },
-        "by_region": [{"region": "hem", "median_mm": 14.0, "down_mm": 11.0, "down_interval_mm": (9.0, 13.0)}],
+        "by_region": [
+            {
+                "region": "hem",
+                "median_mm": 14.0,
+                "interval_mm": (8.0, 19.0),
+                "down_mm": 11.0,
+                "down_interval_mm": (9.0, 13.0),
+            }
+        ],
         "by_covariate": [
             {
                 "when": "the hips turn fast",
@@ -107,6 +115,9 @@ def test_sentences_keep_still_where_they_do_not():
     text = " ".join(sentences(given))
     assert "too low" not in text
     assert "turn fast" not in text
+    for chance in (None, (5.0, 25.0)):  # too few windows, or the median of all lies within
+        given["by_region"][0]["interval_mm"] = chance
+        assert "Worst is" not in " ".join(sentences(given))
     quiet = sentences(figures(explained_mm=5.5, unexplained_mm=2.4))
     assert "the median does not tell whether an effect is missing" in quiet[1]
     assert len(quiet) == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,3 +39,13 @@ def test_real_knits_stiffen_and_differ_between_directions(shared_data):
     exact = compare_curve(stvk(20.9, 11.1), curves[0])
     assert exact["relative_error"] > 0.1
     assert len(own[0]["force"]) <= 120
+
+
+def test_it_is_the_same_whichever_way_rows_run(shared_data):
+    curves = read_force_curves(shared_data / "fabric_tests" / "knit_uniaxial.csv")
+    turned = [
+        replace(c, axial=c.axial[::-1].copy(), transverse=c.transverse[::-1].copy(), force=c.force[::-1].copy())
+        for c in curves
+    ]
+    said, again = (curve_sentences([compare_curve(stvk(20.9, 11.1), c) for c in each]) for each in (curves, turned))
+    assert said == again and "Weft and warp differ" in said[-1]
