@@ -81,6 +81,11 @@ def main(arguments: list[str] | None = None) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         print(usage())
         return 0
+    if arguments[0] == "--version":
+        from caphy import __version__
+
+        print(f"caphy {__version__}")
+        return 0
     name, rest = arguments[0], arguments[1:]
     if name not in COMMANDS:
         print(f"caphy: there is no command {name!r}\n\n{usage()}", file=sys.stderr)

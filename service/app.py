@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 
 import anyio
 from fastapi import FastAPI
+from fastapi.middleware.cors import CORSMiddleware
 
 import caphy
 from service import problem
@@ -64,9 +65,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 
 def _add_middleware(app: FastAPI, settings: Settings) -> None:
-    """The one added last is the outermost: requests are observed, counted, asked for the key, in this order."""
+    """The one added last is the outermost: requests are observed, let in from other pages, counted, asked
+    for the key, in this order."""
     app.add_middleware(Subprotocol)
     if keys := settings.api_keys():
         app.add_middleware(RequireKey, keys=keys, public=PUBLIC)
     app.add_middleware(Guarded, guard=app.state.guard)
+    if origins := settings.allowed_origins():  # outside of what refuses, so that pages may read why
+        app.add_middleware(
+            CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"], allow_headers=["*"],
+            expose_headers=["*"],
+        )  # fmt: skip
     app.add_middleware(Observed, metrics=app.state.metrics)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal
@@ -26,6 +27,7 @@ class Settings(BaseSettings):
     workers: int = Field(1, ge=1, le=256, description="processes that share the port")
     api_key: SecretStr | None = Field(None, description="what clients must send; several, comma-separated")
     allow_anonymous: bool = Field(False, description="answer without a key on addresses beyond this machine")
+    origins: str = Field("", description="web pages that may ask, as https://example.org, comma-separated; * for all")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level that is logged")
     reload_seconds: float = Field(2.0, ge=0, description="how often to look for new avatar bundles [s]; 0 is never")
     drain_seconds: int = Field(30, ge=0, description="how long to finish what is in flight when told to stop [s]")
@@ -53,6 +55,18 @@ class Settings(BaseSettings):
             raise ValueError("no key must be empty; leave the variable out to have none")
         return key
 
+    @field_validator("origins")
+    @classmethod
+    def _are_origins(cls, origins: str) -> str:
+        for origin in _listed(origins):
+            if origin != "*" and not _ORIGIN.fullmatch(origin):
+                raise ValueError("an origin is a scheme and a host, as https://example.org or http://localhost:5173")
+        return origins
+
+    def allowed_origins(self) -> list[str]:
+        """Origins of web pages that may ask; none where only the service's own page may."""
+        return _listed(self.origins)
+
     def api_keys(self) -> list[str]:
         """The keys of which clients must send one; none where anybody may ask."""
         return [] if self.api_key is None else _keys(self.api_key)
@@ -64,6 +78,13 @@ class Settings(BaseSettings):
                 f"listening on {self.host} lets others in, so there must be a key: set CAPHY_API_KEY, "
                 "or CAPHY_ALLOW_ANONYMOUS=true where something in front of the service checks who asks"
             )
+
+
+_ORIGIN = re.compile(r"https?://[^/\s,]+")
+
+
+def _listed(joined: str) -> list[str]:
+    return [each for each in map(str.strip, joined.split(",")) if each]
 
 
 def _keys(joined: SecretStr) -> list[str]:

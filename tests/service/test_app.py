@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 from caphy.errors import CaphyError
 from service.app import create_app
 from service.protocol import MEDIA_TYPE, FramesRequest, decode_response, encode_request
-from service.settings import Settings
+from service.settings import Settings, read_settings
 
 FRAMES = "/avatars/shell/frames"
 BINARY = {"content-type": MEDIA_TYPE}
@@ -264,3 +264,35 @@ def test_starts_only_with_avatars(tmp_path):
 def test_openapi_describes_both_encodings(http):
     operation = http.get("/openapi.json").json()["paths"]["/avatars/{avatar}/frames"]["post"]
     assert set(operation["requestBody"]["content"]) == {"application/json", MEDIA_TYPE}
+
+
+def test_pages_of_other_origins_may_ask_where_the_operator_says_so(avatars, motion):
+    """A preflight is answered without the key, and refusals can be read by the page."""
+    page, ours = (
+        {"origin": "https://example.org"},
+        Settings(avatars=avatars, api_key="k", origins="https://example.org"),
+    )
+    wants = {"access-control-request-method": "POST", "access-control-request-headers": "authorization, content-type"}
+    with TestClient(create_app(ours)) as client:
+        before = client.options(FRAMES, headers={**page, **wants})
+        assert before.status_code == 200
+        assert before.headers["access-control-allow-origin"] == page["origin"]
+        assert "authorization" in before.headers["access-control-allow-headers"]
+        answer = client.post(FRAMES, content=body_of(motion), headers={**BINARY, **page, "authorization": "Bearer k"})
+        assert answer.status_code == 200 and answer.headers["access-control-allow-origin"] == page["origin"]
+        locked = client.post(FRAMES, content=body_of(motion), headers={**BINARY, **page})
+        refused(locked, 401)
+        assert locked.headers["access-control-allow-origin"] == page["origin"]
+        other = client.options(FRAMES, headers={**wants, "origin": "https://example.com"})
+        assert "access-control-allow-origin" not in other.headers
+
+
+def test_without_that_no_other_page_may(http, motion):
+    answer = http.post(FRAMES, content=body_of(motion), headers={**BINARY, "origin": "https://example.org"})
+    assert "access-control-allow-origin" not in answer.headers
+
+
+@pytest.mark.parametrize("origins", ["example.org", "https://example.org/page", "https://a.org; https://b.org"])
+def test_origins_that_are_none_are_refused(origins):
+    with pytest.raises(CaphyError, match="CAPHY_ORIGINS: .*a scheme and a host"):
+        read_settings(origins=origins)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Final
+from zipfile import is_zipfile
 
 import numpy as np
 
@@ -35,7 +36,8 @@ def read_archive(path: Path) -> tuple[Measurement, bool]:
     except FileNotFoundError as error:
         raise CaphyError(f"{path}: there is no such file") from error
     except Exception as error:
-        raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({error})") from error
+        why = "it is no npz" if "pickle" in str(error).lower() and not is_zipfile(path) else str(error)
+        raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({why})") from error
     unknown = sorted(set(arrays) - set(ARRAYS) - set(_OTHER))
     if unknown:
         raise CaphyError(f"{path}: has keys nobody reads: {', '.join(unknown)}; known: {', '.join((*ARRAYS, *_OTHER))}")

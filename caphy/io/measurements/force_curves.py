@@ -102,9 +102,10 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
         return _knit_curves(rows, path)
     missing = [name for name in COLUMNS if name not in names and name != "transverse_strain"]
     if missing:
+        got = ", ".join(name for name in names if name is not None)
         raise CaphyError(
-            f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got "
-            f"{', '.join(map(str, names))}; the first line names them; commas part columns, points decimals"
+            f"{path}: needs the columns {', '.join(COLUMNS)}; {missing[0]} is missing, got {got}; the first line names "
+            "them; commas part columns, points decimals"
         )
     if unread := [name for name in names if name is not None and name not in (*NAMES, *COLUMNS)]:
         raise CaphyError(
