@@ -103,7 +103,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def learned_of(base: Base) -> list[str]:
-    """What base measurements did to the model, in words; nothing where they left it as it was."""
+    """What base measurements did to the model, and how near it comes to them, in words."""
     said = []
     if base.before is not None:
         without, whole = base.before.median_mm
@@ -114,6 +114,7 @@ def learned_of(base: Base) -> list[str]:
     if base.changed:
         moved = ", ".join(f"{name} {100 * by:+.3g} %{_limit(by)}" for name, by in base.changed.items())
         said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
+    said.append(f"Of the base measurements a median distance of {base.median_mm:.2f} mm is left in the windows.")
     return said
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import caphy
 from caphy import commands
 from caphy.cli import LISTS, main
 
@@ -20,6 +21,11 @@ def test_the_package_runs_as_the_command_does() -> None:
     ]
     assert ran[0].returncode == 0 and "usage: caphy COMMAND" in ran[0].stdout
     assert ran[1].returncode == 2 and "there is no command 'fly'" in ran[1].stderr
+
+
+def test_it_tells_its_version(capsys) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"caphy {caphy.__version__}\n"
 
 
 @pytest.mark.parametrize("again", [["--base", "c.npz"], ["--base=c.npz"]])

@@ -294,5 +294,5 @@ def test_without_that_no_other_page_may(http, motion):
 
 @pytest.mark.parametrize("origins", ["example.org", "https://example.org/page", "https://a.org; https://b.org"])
 def test_origins_that_are_none_are_refused(origins):
-    with pytest.raises(CaphyError, match="CAPHY_ORIGINS: .*a scheme and a host"):
+    with pytest.raises(CaphyError, match=r"CAPHY_ORIGINS: .*a scheme and a host"):
         read_settings(origins=origins)
