@@ -231,8 +231,8 @@ def _tell(
     from caphy.training.validate import SHORTEST
 
     print(
-        f"{garment.name}: {len(garment.vertices)} vertices, {len(trainer.track.motions)} frames of {_clips(trained)} "
-        f"(mirrored, at three speeds), {_clips(held_out)} held out"
+        f"{garment.name}: {len(garment.vertices)} vertices, {len(trainer.track.motions)} frames of {_counted(trained)} "
+        f"(mirrored, at three speeds), {_counted(held_out)} held out"
     )
     if initial is not None and "transferred_from" in initial.record:
         begun = initial.record
@@ -249,7 +249,7 @@ def _tell(
         print(f"note: {name} depends on {what}, which the network does not see: it learns the average")
 
 
-def _clips(motions: list[PoseSequence]) -> str:
+def _counted(motions: list[PoseSequence]) -> str:
     return f"{len(motions)} clip{'s' * (len(motions) != 1)}"
 
 
