@@ -53,10 +53,8 @@ def command() -> NoReturn:
         signal.signal(signal.SIGINT, _once)
     signal.signal(signal.SIGTERM, _once)  # of timeout and of queues of batches
     status = main()
-    if status in (
-        INTERRUPTED,
-        TERMINATED,
-    ):  # threads that write to processes which are gone would be waited for for ever
+    if status in (INTERRUPTED, TERMINATED):
+        # threads that write to processes which are gone would be waited for for ever
         if (util := sys.modules.get("multiprocessing.util")) is not None:
             for child in sys.modules["multiprocessing"].active_children():
                 child.kill()  # one that still begins would miss its semaphores

@@ -31,8 +31,8 @@ SETTLING = 3
 ROUGH, FINE = 1e-2, 2e-6
 """Tolerances of the coarse way and of the final drape [N]. A fine vertex weighs about 5e-4 N, and a shirt that does not
 rub on the skin slides by 5 mm after a hundredth of that is all that is left on any vertex."""
-FEW, MANY = 8, 600
-"""Most Newton iterations of a step on the coarse way and of the final drape, which takes 100 to 300; a report says
+FEW, MANY = 8, 1000
+"""Most Newton iterations of a step on the coarse way and of the final drape, which takes 50 to 600; a report says
 where that was not enough."""
 GAP = 0.002
 """Distance of the upper garment from the lower one where it lies on it [m]."""
