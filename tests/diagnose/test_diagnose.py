@@ -148,9 +148,10 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     assert without.held_out.after_mm < 0.9 * without.held_out.before_mm and without.held_out.share > 0.1
     (revision,) = _with_history(without, stiff, asked).history
     assert revision.error_after == 1e-3 * without.held_out.after_mm
-    answer, *_, moved, _ = sentences(without)
+    answer, *_, moved, left, _ = sentences(without)
     assert answer == "No effect is missing: the parameters of strain_stvk are off."
     assert "lame_mu" in moved
+    assert f"a median distance of {known.median_mm:.2f} mm is left" in left
     again = refit(stiff, dragged[:1], ("mass_damping",), dragged[1:], learned=known)
     assert again.kept == ("mass_damping",)
     value, low, high, _ = again.coefficients["mass_damping.rate"]

@@ -45,8 +45,10 @@ def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
     model = Model.load(run / "fabric_upper.json")
     assert model == Model.load(run / "fabric.json")  # of a single garment the record is a model as well
     assert model.density == 0.204
-    assert model.history[-1].note == "fabric fitted to scans at rest"
     document = json.loads((run / "fabric.json").read_text())["garments"]["upper"]
+    told_of = [name for name, row in document["stiffness"].items() if row["interval"] is not None]
+    fitted = f"{' and '.join(told_of)} fitted to scans at rest" if told_of else "scans at rest determined nothing"
+    assert model.history[-1].note == fitted
     assert document["left_out"] == {"bare": "shows only 0 points of the upper garment"}
     assert document["scans"] == 4 and len(document["rounds"]) == 2
     assert len(document["numbers"]) == 39
