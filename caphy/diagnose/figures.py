@@ -98,7 +98,9 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
         said += learned_of(diagnosis.base)
     if diagnosis.by_base is not None:
         held = diagnosis.by_base
-        said.append(f"By that the held-out median went from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
+        said.append(
+            f"By the moved parameters the held-out median went from {held.before_mm:.2f} to {held.after_mm:.2f} mm."
+        )
     return said + [f"Note: {note}." for note in diagnosis.notes]
 
 
