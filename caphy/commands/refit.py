@@ -168,8 +168,8 @@ def _held(found: Refit) -> list[str]:
         for key, parameter in effect.parameters.items():
             if f"{name}.{key}" not in told:
                 value = np.asarray(found.model.effects[name][key]).tolist()
-                what = "" if key in effect.further else ", in which the effect is not linear"
-                lines.append(f"{name}.{key}{what}, is held at {value} {parameter.unit}")
-    if lines and any("not linear" in line for line in lines):
+                why = "" if key in effect.further else ": the effect is not linear in it"
+                lines.append(f"{name}.{key} is held at {value} {parameter.unit}{why}")
+    if any("not linear" in line for line in lines):
         lines.append("(an effect's `further` says which of these are to be fitted too, and where to look for them)")
     return lines

@@ -33,7 +33,7 @@ from caphy.refit.descent import fit
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
 from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
-from caphy.refit.responses import Response, picked
+from caphy.refit.responses import Response, median_mm, picked
 from caphy.refit.study import Study
 
 RIDGES = (1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -126,7 +126,7 @@ def base_of(
     scenes = checked_scenes(measurements, model, garment, body, progress, crew)
     study = Study(scenes, progress=progress, crew=crew)
     before = earlier(study, model)
-    if not before.later:
+    if before is None:
         return from_base(study, model)
     learned = from_base(study.registered_by(before.model), before.model)
     return replace(learned, model=before.with_later(learned.model, model), before=before)
@@ -137,13 +137,11 @@ def from_base(study: Study, model: Model) -> Base:
     study, model, changed, free = _put_right(study, model)
     look = _looked(study, model, free, ALL_OF_IT)
     gain, probes = _gains_left(study, look, model)
-    errors = np.concatenate([response.error.ravel() for response in look.probed])
     correction = {column.name: float(value) for column, value in zip(look.columns, look.change, strict=True)}
     mistaken = {s.group.label: s.gain for s in screened(look.known, look.groups, look.places, model)}
-    median_mm = 1e3 * float(np.nanmedian(errors))
     motions = np.array([response.scene for response in look.probed])
     learned = model, look.columns, correction, look.variance, look.known, motions, look.ridge, study.mesh or 0.0
-    return Base(*learned, changed, mistaken, gain, probes, median_mm, study.why_not)
+    return Base(*learned, changed, mistaken, gain, probes, median_mm(look.probed), study.why_not)
 
 
 def _put_right(study: Study, model: Model) -> tuple[Study, Model, dict[str, float], list[Response]]:

@@ -6,8 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
 from caphy.diagnose.base import Base, base_of, checked_scenes
@@ -30,6 +28,7 @@ from caphy.refit.crew import Crew
 from caphy.refit.descent import weighed_anew
 from caphy.refit.heldout import Apart, HeldOut
 from caphy.refit.intervals import intervals
+from caphy.refit.responses import median_mm
 from caphy.refit.study import Study
 
 
@@ -237,7 +236,7 @@ def _concluded(
         model=_kept(found.model, start, kept) if kept else start,
         needed=first.needed,
         windows=len(first.responses),
-        median_mm=(_median(before), _median(found.fit.responses if kept and found.fit else before)),
+        median_mm=(median_mm(before), median_mm(found.fit.responses if kept and found.fit else before)),
         held_out=errors,
         by_base=by_base,
         outside=elsewhere,
@@ -322,10 +321,6 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
         f"({doubt}) on held-out measurements, where the median went from {errors.before_mm:.2f} to "
         f"{errors.after_mm:.2f} mm"
     )
-
-
-def _median(responses) -> float:
-    return 1e3 * float(np.nanmedian(np.concatenate([response.error.ravel() for response in responses])))
 
 
 def _ranking(found: Search, sure_of_parameters: bool, study: Study | None) -> list[Ranked]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.errors import Diverged
+from caphy.refit.responses import median_mm
 from caphy.refit.study import Study
 
 
@@ -30,32 +31,30 @@ class Earlier:
         return replace(whole, density=other.density, effects={**whole.effects, **other.effects})
 
 
-def earlier(study: Study, model: Model) -> Earlier:
-    """The model that lies nearest to measurements, of itself and of those it was before effects were added to it.
+def earlier(study: Study, model: Model) -> Earlier | None:
+    """The model that measurements are of, if one from before effects were added lies nearer to them than the whole one.
 
     Who looks again at a model with an effect that base measurements do not know gives the same base measurements again:
     fitted to them, the effect would all but go.
     """
-    found = Earlier(model, (), (0.0, 0.0))
-    stages = [found]
+    stages: list[tuple[Model, tuple[str, ...]]] = [(model, ())]
     for revision in reversed(model.history):
-        gone = tuple(name for name in revision.added if name in stages[-1].model.effects)
+        less, later = stages[-1]
+        gone = tuple(name for name in revision.added if name in less.effects)
+        for name in gone:
+            less = less.without_effect(name)
         if gone:
-            less = stages[-1].model
-            for name in gone:
-                less = less.without_effect(name)
-            stages.append(Earlier(less, (*gone, *stages[-1].later), (0.0, 0.0)))
+            stages.append((less, (*gone, *later)))
     if len(stages) == 1:
-        return found
-    medians = [_median_mm(study, stage.model) for stage in stages]
+        return None
+    medians = [_off(study, stage) for stage, _ in stages]
     best = int(np.argmin(medians))
-    return replace(stages[best], median_mm=(medians[best], medians[0]))
+    return Earlier(*stages[best], (medians[best], medians[0])) if best else None
 
 
-def _median_mm(study: Study, model: Model) -> float:
-    """Median distance in all windows; endless where cloth flies apart."""
+def _off(study: Study, model: Model) -> float:
+    """Median distance in all windows [mm]; endless where cloth flies apart."""
     try:
-        responses = study.respond(model, (), "base measurements")
+        return median_mm(study.respond(model, (), "base measurements"))
     except Diverged:
         return np.inf
-    return 1e3 * float(np.nanmedian(np.concatenate([response.error.ravel() for response in responses])))

@@ -306,6 +306,11 @@ def watched(scenes: Sequence[Scene], length: int = LENGTH, like: Sequence[Watche
     return [Watched(scene, number, length, old) for number, (scene, old) in enumerate(zip(scenes, known, strict=True))]
 
 
+def median_mm(responses: Sequence[Response]) -> float:
+    """Median distance over all vertices of all windows [mm]."""
+    return 1e3 * float(np.nanmedian(np.concatenate([response.error.ravel() for response in responses])))
+
+
 def picked(responses: Sequence[Response], columns: Sequence[int]) -> list[Response]:
     """The same windows with some of the columns."""
     index = list(columns)

@@ -31,9 +31,9 @@ def film(drag: float) -> Measurement:
 def test_films_tell_of_which_model_they_are(drag, later):
     """Of 0.6 kg/m^2/s, a rate of 3 1/s, or of none."""
     found = earlier(Study([Scene.of(film(drag))]), DRAGGED)
-    assert found.later == later
-    assert found.model == (PLAIN if later else DRAGGED)
-    assert found.median_mm[0] == min(found.median_mm)
+    assert (() if found is None else found.later) == later
+    if found is not None:
+        assert found.model == PLAIN and found.median_mm[0] < found.median_mm[1]
 
 
 def test_what_was_added_stays_as_it_is_and_is_told(monkeypatch):
@@ -60,9 +60,10 @@ def test_the_last_revisions_are_tried_one_after_another(best, later):
                 raise Diverged("it flies apart")
             return [SimpleNamespace(error=np.full(3, 1e-3 * (3 - gone)))]
 
-    assert earlier(Films(), WINDY).later == later  # pyright: ignore
+    found = earlier(Films(), WINDY)  # pyright: ignore
+    assert (() if found is None else found.later) == later
 
 
 def test_a_model_without_history_is_taken_as_it_is():
     plain = Model(DRAGGED.density, DRAGGED.effects)
-    assert earlier(Study([Scene.of(film(0.0))]), plain).model is plain
+    assert earlier(Study([Scene.of(film(0.0))]), plain) is None

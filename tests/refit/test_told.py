@@ -1,0 +1,34 @@
+"""What `caphy refit` says of numbers that are not fitted, and `caphy compare` of a model that lacks what cloth has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from caphy.commands.refit import table
+from caphy.effects.model import Model
+from caphy.measure.prediction import _lacking
+from caphy.refit.heldout import HeldOut
+from caphy.refit.refit import Refit
+
+HELD_OUT = HeldOut(5.0, 4.0, None, *2 * (np.ones(1),), 0.3, 0.1)
+PLAIN = Model(0.2, {"inertia": {}, "gravity": {}})
+
+
+def test_numbers_in_which_an_effect_is_not_linear_are_told_to_be_held():
+    """A gust whose frequency was not fitted, and one whose was."""
+    gusty = PLAIN.with_effect("gust", frequency=1.5)
+    told = {f"gust.{way}[{axis}]": (0.1, 0.05, 0.15, "Pa") for way in ("cosine", "sine") for axis in range(3)}
+    said = table(Refit(gusty, ("gust",), (), told, HELD_OUT, "", 0.3))
+    assert "gust.frequency is held at 1.5 1/s" in said
+    fitted = told | {"gust.frequency": (1.5, 1.4, 1.6, "1/s")}
+    assert "held at" not in table(Refit(gusty, ("gust",), (), fitted, HELD_OUT, "", 0.3))
+
+
+@pytest.mark.parametrize(
+    ("effects", "said"),
+    [({"inertia": {}, "gravity": {}}, ""), ({"inertia": {}}, "no gravity;"), ({}, "no inertia and no gravity;")],
+)
+def test_what_every_cloth_has_is_missed(effects, said):
+    found = _lacking(Model(0.2, effects))
+    assert bool(found) == bool(said) and said in " ".join(found)
