@@ -52,7 +52,7 @@ class Plan:
 
 
 def stages(plan: Plan, count: int) -> list[Stage]:
-    """All stages for ``count`` scans, in order."""
+    """All stages for ``count`` scans, in order; seconds as one core took for 80 (docs/fit.md)."""
     run = plan.run
     sources, labelled = (run / SCANS, run / CHECKED), (run / SCANS, run / LABELS, run / LABELLED)
     subject = tuple(run / name for name in SUBJECT)
@@ -63,29 +63,29 @@ def stages(plan: Plan, count: int) -> list[Stage]:
     return [
         Stage(
             "check", "checking the scans", lambda: check_scans(plan.scans, run, plan.parser),
-            inputs=(plan.scans,), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.3 * count,
+            inputs=(plan.scans,), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.13 * count,
         ),
         Stage(
             "segment", "telling skin, upper and lower garment apart", lambda: segment_scans(run, plan.layout),
             inputs=(*sources, *_files(plan.parser, plan.layout)), outputs=labelled[1:],
-            options={"layout": plan.layout, "parser": plan.parser}, seconds=5 + 2.5 * count,
+            options={"layout": plan.layout, "parser": plan.parser}, seconds=2 + 0.8 * count,
         ),
         Stage(
             "body", "finding the body under the clothes", lambda: _body(plan),
             inputs=(*labelled, *_files(plan.body)), outputs=(run / "body.npz", run / "body.json"),
-            options={"body": plan.body}, seconds=15 + 8 * count,
+            options={"body": plan.body}, seconds=5 + 1.6 * count,
         ),
         Stage(
             "points", "splitting the scans", lambda: _points(plan),
             inputs=(*labelled, run / "body.npz"),
             outputs=(run / "points", run / "split.json", run / "subject_body.npz"),
-            options={"hold_out": plan.hold_out, "seed": plan.seed, "body": plan.body}, seconds=1 + 0.2 * count,
+            options={"hold_out": plan.hold_out, "seed": plan.seed, "body": plan.body}, seconds=1 + 0.1 * count,
         ),
         Stage(
             "garments", "choosing the garments' templates", lambda: _garments(plan),
             inputs=(*labelled, run / "body.npz", run / "split.json"), outputs=(run / "garments.json",),
             whole=lambda: all((run / f"{kind}.npz").is_file() for kind in kinds(run)),
-            options={"body": plan.body, "fabric": plan.fabric}, seconds=180,
+            options={"body": plan.body, "fabric": plan.fabric}, seconds=220,
         ),
         Stage(
             "train", "training on physics and scans", lambda: _train(plan),
@@ -107,24 +107,24 @@ def stages(plan: Plan, count: int) -> list[Stage]:
             "collide", "fine-tuning against collisions of garments", lambda: _collide(plan),
             inputs=(*networks[:2], *subject), outputs=(run / "collided",),
             options={"epochs": plan.collision_epochs, "seed": plan.seed},
-            seconds=2.4 * max(0.3 * count, 25) * plan.collision_epochs,
+            seconds=0.9 * max(0.3 * count, 25) * plan.collision_epochs,
             may_fail=True,
         ),
         Stage(
             "export", "writing the avatar", lambda: _export(plan),
             inputs=(*networks, run / "subject_body.npz"), outputs=(run / AVATAR,),
-            options={"licence": plan.licence}, seconds=25,
+            options={"licence": plan.licence}, seconds=5,
         ),
         Stage(
             "evaluate", "holding it against the scans left out of training", lambda: _evaluate(plan),
             inputs=(*labelled, *subject, run / FABRIC, *networks, run / "rows", *_files(plan.vgg)),
-            outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=15 + 1.5 * count,
+            outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=5 + 0.9 * count,
             may_fail=True,
         ),
         Stage(
             "report", "writing the page", lambda: _report(plan),
             inputs=(*labelled, *subject, run / FABRIC, run / "evaluation.json", run / "garments.json", run / AVATAR),
-            outputs=(run / PAGE,), seconds=15, may_fail=True,
+            outputs=(run / PAGE,), seconds=3, may_fail=True,
         ),
     ]  # fmt: skip
 

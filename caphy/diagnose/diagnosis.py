@@ -317,7 +317,7 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
         few = errors.few
         doubt = f"few windows decide: {100 * few.promise:.1f} % if right, up to {100 * few.chance:.1f} % by chance"
     return (
-        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted, and {100 * errors.share:.1f} % "
+        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted, and {100 * errors.share:z.1f} % "
         f"({doubt}) on held-out measurements, where the median went from {errors.before_mm:.2f} to "
         f"{errors.after_mm:.2f} mm"
     )

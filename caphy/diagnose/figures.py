@@ -157,7 +157,7 @@ def _answer(diagnosis: Diagnosis) -> str:
         least = "but does not hold, as the notes say"
     return (
         f"Nothing is missing that these measurements could show: the best explanation ({best.label}) takes away "
-        f"{100 * best.gain:.1f} % of the misfit {least}.{limit}"
+        f"{100 * best.gain:z.1f} % of the misfit {least}.{limit}"
     )
 
 
@@ -165,7 +165,7 @@ def _coefficient(name: str, c: Coefficient) -> str:
     effect, parameter = name.split(".", 1)
     declared = find_effect(effect).parameters[parameter.split("[")[0]]
     if c.unit == "1" and declared.unit != "1":
-        return f"{name} changes by {100 * c.value:+.0f} % (95 %: {100 * c.low:+.0f} to {100 * c.high:+.0f} %)."
+        return f"{name} changes by {100 * c.value:+z.0f} % (95 %: {100 * c.low:+z.0f} to {100 * c.high:+z.0f} %)."
     unit = "" if c.unit == "1" else f" {c.unit}"
     return f"{name} = {c.value:.3g}{unit} (95 %: {c.low:.3g} to {c.high:.3g})."
 
@@ -194,6 +194,6 @@ def table(diagnosis: Diagnosis) -> str:
     rows = [f"{'explanation':34s} {'gain':>7s} {'Wald':>8s} {'refit':>7s}  first estimate"]
     for r in diagnosis.ranking[:_LISTED]:
         numbers = ", ".join(_in_unit(name, value, r.units[name]) for name, value in list(r.linear.items())[:3])
-        refit = "" if r.refitted is None else f"{100 * r.refitted:.1f} %"
-        rows.append(f"{r.label:34s} {100 * r.gain:6.1f} % {r.wald:7.0f} {refit:>7s}  {numbers}")
+        refit = "" if r.refitted is None else f"{100 * r.refitted:z.1f} %"
+        rows.append(f"{r.label:34s} {100 * r.gain:z6.1f} % {r.wald:7.0f} {refit:>7s}  {numbers}")
     return "\n".join(rows)

@@ -115,7 +115,7 @@ def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: 
     ``numbers`` begin with a value and its interval. Proof is what a diagnosis asks for, and a misfit that falls.
     """
     found, there = [], "on held-out measurements"
-    fell = f"falls by {100 * errors.share:.1f} %"
+    fell = f"falls by {100 * errors.share:z.1f} %"
     medians = f"goes from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
     if added and not any(low > 0 or high < 0 for _, low, high, *_ in numbers.values()):
         found.append("none of its numbers is surely different from zero")
@@ -126,7 +126,7 @@ def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: 
     elif errors.share >= LEAST and not errors.proves(fitted.share):
         found.append(
             f"{there} the median distance must fall by {100 * (1 - FALLS):.0f} %, or the misfit surely and by a third "
-            f"of what it falls by where the model is fitted ({100 * fitted.share:.1f} %); the median {medians}, the "
+            f"of what it falls by where the model is fitted ({100 * fitted.share:z.1f} %); the median {medians}, the "
             f"misfit {fell}"
         )
     return "; ".join(found)

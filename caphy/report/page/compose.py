@@ -69,7 +69,7 @@ def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, st
 def tensile_page(title: str, document: dict, facts: dict[str, str]) -> str:
     """The page of a diagnosis or refit of tensile tests, from the figures of its JSON; raises as the other page."""
     environment = _environment()
-    environment.filters["percent"] = lambda share: "–" if share is None else f"{100 * share:.0f}"
+    environment.filters["percent"] = lambda share: "–" if share is None else f"{100 * share:z.0f}"
     shown = [
         (f"{row['fabric'].replace('_', ' ')}, {row['direction']}", plots.tensile_plot(row))
         for row in document["curves"]
