@@ -157,7 +157,12 @@ class Newton:
         return other
 
     def minimise(
-        self, guess: Tensor, step: Step | None, body: Body | None = None, damping: float = 0.0
+        self,
+        guess: Tensor,
+        step: Step | None,
+        body: Body | None = None,
+        damping: float = 0.0,
+        least: int = 0,
     ) -> tuple[Tensor, Report]:
         """The minimiser (V, 3) [m] reached from a guess.
 
@@ -166,6 +171,8 @@ class Newton:
             step: the step of the dynamics; None in statics.
             body: the body at that time; None without one.
             damping: mass-proportional damping of the first iteration [1/s^2]; fades while steps succeed.
+            least: iterations to take whatever the residual. A guess that knows nothing of the forces is within the
+                tolerance wherever vertices are so light that all forces on them are.
 
         Raises:
             Diverged: the guess or its energy is not finite.
@@ -178,7 +185,7 @@ class Newton:
         for iteration in range(self.max_iterations):
             if here.residual <= max(planes.due, self.tolerance):
                 here = self._settled(here, step, planes)
-            if here.residual <= self.tolerance:
+            if here.residual <= self.tolerance and iteration >= least:
                 return here.x, Report(True, iteration, here.residual, "converged")
             if (there := self._by_last(factor, here, step)) is not None:
                 here = self._followed(there, step, planes)
