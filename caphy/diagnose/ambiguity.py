@@ -10,7 +10,7 @@ from caphy.diagnose.search import Search, Term
 ALIKE = 0.9
 """Share of an effect's response, as a cosine, that another effect can copy to count as the same."""
 
-_APART = 0.8  # of the fall of the misfit: another explanation that reaches less was refitted and is out
+_APART = 0.8  # of the best that explanations were weighed by: one that reached less is out
 
 SEPARATES = {
     frozenset(("wind", "external")): "turn the subject or the cloth by 90 degrees: wind turns with its normals, weight "
@@ -39,7 +39,7 @@ def alike(found: Search, term: Term) -> list[Group]:
     mine = last.places[label]
     wanted = normal[:, mine] @ change
     size = float(change @ normal[np.ix_(mine, mine)] @ change)
-    fall = max(term.tried.values())
+    most = max(term.weighed.values())
     similar = list(term.even)
     for group in last.groups:
         if group.name in (term.group.name, *(other.name for other in term.even)):
@@ -49,7 +49,7 @@ def alike(found: Search, term: Term) -> list[Group]:
             continue
         inner = normal[np.ix_(place, place)] + 1e-9 * np.diag(np.diag(normal)[place]) + 1e-300 * np.eye(len(place))
         copied = float(wanted[place] @ np.linalg.solve(inner, wanted[place])) / max(size, 1e-300)
-        out = group.label in term.tried and term.tried[group.label] < _APART * fall
+        out = group.label in term.weighed and term.weighed[group.label] < _APART * most
         if copied > ALIKE**2 and not out:
             similar.append(group)
     return similar

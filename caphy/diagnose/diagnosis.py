@@ -16,7 +16,7 @@ from caphy.diagnose.noticed import LISTED, by_roll_outs, by_tangents
 from caphy.diagnose.outside import Outside, outside
 from caphy.diagnose.proof import each_proven
 from caphy.diagnose.rivals import settle_rivals
-from caphy.diagnose.search import Search, Term, least_wald, ranked, search, take_back
+from caphy.diagnose.search import Search, Term, least_wald, looked_again, ranked, search, take_back
 from caphy.effects.model import Model
 from caphy.errors import CaphyError, Diverged
 from caphy.garment.template import Garment
@@ -24,6 +24,7 @@ from caphy.io.measurements import Measurement
 from caphy.measure.remarks import remarks
 from caphy.measure.track import Progress
 from caphy.refit.again import fitted_again
+from caphy.refit.columns import strengths
 from caphy.refit.crew import Crew
 from caphy.refit.descent import weighed_anew
 from caphy.refit.heldout import Apart, HeldOut
@@ -175,6 +176,7 @@ def diagnose(
     settle_laws(study, found, apart)
     if known is None and found.fit is not None:
         found.fit = weighed_anew(study, found.fit)
+    looked_again(study, found, model, known)
     elsewhere = outside(found, 0.0 if known is None else known.probes)
     concluded = _concluded(found, study, model, start, known, apart, elsewhere)
     notes = (*concluded.notes, *remarks((*measurements, *trusted, *held_out)))
@@ -193,7 +195,7 @@ def _concluded(
     first, notes, terms = found.screens[0], _not_by_moved(study, base, apart), found.terms
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
-    if terms and (reason := unproven(found.taken, errors, numbers)):
+    if terms and (reason := unproven(found.taken, errors, _acting(found, numbers))):
         notes.append(_taken_back(terms, reason))
         terms = []
     before = first.responses
@@ -205,7 +207,7 @@ def _concluded(
             notes.append(_went(again.times, earlier, numbers))
             errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
             # Clouds registered with it favour it more than the first ones did: here it must hold all the more.
-            if reason := unproven(found.taken, errors, numbers):
+            if reason := unproven(found.taken, errors, _acting(found, numbers)):
                 notes.append(_taken_back(terms, reason))
                 terms, before = [], first.responses
         else:
@@ -300,14 +302,21 @@ def _doubtful(found: Search, base: Base | None, motions: int) -> Term | None:
         return None
     numbers = _coefficients(found, base, motions)
     for term in reversed(found.terms):
-        told = [numbers[column.name] for column in term.group.columns]
+        told = [numbers[name] for name in strengths(term.group.columns)]
         if not any(number.low > 0 or number.high < 0 for number in told):
             return term
     return None
 
 
+def _acting(found: Search, numbers: Mapping[str, Coefficient]) -> dict[str, Coefficient]:
+    """Of fitted numbers those that are zero where nothing acts."""
+    assert found.fit is not None
+    return {name: numbers[name] for name in strengths(found.fit.columns)}
+
+
 def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coefficient]) -> str:
-    """Why what takes away a share of the misfit is not believed; empty where it is."""
+    """Why what takes away a share of the misfit is not believed; empty where it is. ``numbers`` are those that are zero
+    where nothing acts."""
     if not any(number.low > 0 or number.high < 0 for number in numbers.values()):
         return "none of its numbers is surely different from zero"
     if errors is None or errors.proves(taken):
@@ -326,14 +335,14 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
 def _ranking(found: Search, sure_of_parameters: bool, study: Study | None) -> list[Ranked]:
     """All explanations; with a study roll-outs tell what would have been noticed."""
     first = found.screens[0]
-    tried = found.terms[0].tried if found.terms else {}
+    took = found.terms[0].took if found.terms else {}
     wald = least_wald(sure_of_parameters)
     ranking = []
     for score in ranked(first.scores, sure_of_parameters):
         names = [column.name for column in score.group.columns]
         needed = first.needed_by(score)
         label = score.group.label
-        refitted = tried.get(label)
+        refitted = took.get(label)
         linear = dict(zip(names, map(float, score.change), strict=True))
         if study is not None and len(ranking) < LISTED:
             noticed = by_roll_outs(study, first, score, wald)

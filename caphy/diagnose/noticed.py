@@ -12,7 +12,6 @@ from caphy.errors import Diverged
 from caphy.refit.columns import extended, moved
 from caphy.refit.evidence import evidence
 from caphy.refit.fit import FURTHEST
-from caphy.refit.responses import picked
 from caphy.refit.study import Study
 
 LISTED = 3
@@ -57,13 +56,15 @@ def by_roll_outs(study: Study, screen: Screen, score: Score, wald: float) -> dic
     most = min(column.bounds(extended(screen.model, [column]))[1], FURTHEST * needed)
     strength = screen.evidence.weight * screen.evidence.a[:, place, place]
     windows = sorted(np.argsort(strength)[-_WINDOWS:].tolist())
-    few, before = study.some(windows), picked([screen.responses[i] for i in windows], [place])
+    few, what = study.some(windows), "what would have been noticed"
+    # The mesh's error may last have been told of a model that was tried and given up.
+    before = few.respond(screen.model, [column], what, anew={"solver"})
     size, found[column.name] = needed, None
     for _ in range(_ROLL_OUTS):
         if size > most:
             break
         try:
-            after = few.respond(moved(screen.model, [column], np.array([size])), (), "what would have been noticed")
+            after = few.respond(moved(screen.model, [column], np.array([size])), (), what)
         except Diverged:
             break
         does = [replace(old, residual=old.residual - new.residual) for old, new in zip(before, after, strict=True)]

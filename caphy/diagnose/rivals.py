@@ -54,8 +54,8 @@ def _rival(found: Search, term: Term) -> Group | None:
     if term.group.own or _told(found, term):
         return None
     taken = {other.group.name for other in found.terms}
-    tried = [group for group in found.screens[0].groups if group.label in term.tried]
-    near = [*sorted(tried, key=lambda group: -term.tried[group.label]), *alike(found, term)]
+    weighed = [group for group in found.screens[0].groups if group.label in term.weighed]
+    near = [*sorted(weighed, key=lambda group: -term.weighed[group.label]), *alike(found, term)]
     size = len(term.group.columns)
     fit = (group for group in near if not group.own and group.name not in taken and len(group.columns) == size)
     return next(fit, None)

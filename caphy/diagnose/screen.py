@@ -11,7 +11,7 @@ from caphy.diagnose.groups import Group
 from caphy.effects.model import Model
 from caphy.refit.borrowed import REPLICAS, borrowed, few
 from caphy.refit.columns import Column
-from caphy.refit.evidence import Evidence, bounded
+from caphy.refit.evidence import Evidence, bounded, inverse
 from caphy.refit.responses import Response
 
 FLIPS = 200
@@ -45,26 +45,18 @@ def bounds(columns: Sequence[Column], model: Model) -> tuple[np.ndarray, np.ndar
     return limits[:, 0], limits[:, 1]
 
 
-def screened(
-    known: Evidence, groups: Sequence[Group], places: dict[str, list[int]], model: Model, kept: Sequence[int] = ()
-) -> list[Score]:
-    """Scores of groups, best first.
-
-    Args:
-        known: windows at the model, in the columns of all groups.
-        kept: columns that are free in any case (what was accepted already).
-    """
+def screened(known: Evidence, groups: Sequence[Group], places: dict[str, list[int]], model: Model) -> list[Score]:
+    """Scores of groups, best first; ``known`` are windows at the model, in the columns of all groups."""
     columns = [column for group in groups for column in group.columns]
     lower, upper = bounds(columns, model)
-    base = _left_out(known.picked(list(kept)), lower[list(kept)], upper[list(kept)])
-    null = float(base.sum())
+    null = float(known.misfit(np.zeros(known.b.shape[1])).sum())
     scores = []
     for group in groups:
-        index = list(kept) + [i for i in places[group.label] if i not in kept]
+        index = places[group.label]
         picked = known.picked(index)
         gain = 1 - float(_left_out(picked, lower[index], upper[index]).sum()) / null
         change = bounded(*picked.normal, lower[index], upper[index])
-        scores.append(Score(group, gain, _wald(picked, change, len(kept)), change[len(kept) :]))
+        scores.append(Score(group, gain, _wald(picked, change), change))
     return sorted(scores, key=lambda score: -score.gain)
 
 
@@ -90,12 +82,14 @@ def covariance(known: Evidence, change: np.ndarray) -> np.ndarray:
     return inverse @ (scores.T @ scores) @ inverse * many / max(many - 1, 1)
 
 
-def _wald(known: Evidence, change: np.ndarray, kept: int) -> float:
-    own = change[kept:]
-    if not own.any():
+def _wald(known: Evidence, change: np.ndarray) -> float:
+    """Of changes (K,), each in units of its own error."""
+    if not change.any():
         return 0.0
-    spread = covariance(known, change)[kept:, kept:]
-    return float(own @ np.linalg.lstsq(spread, own, rcond=1e-9)[0])
+    spread = covariance(known, change)
+    error = np.sqrt(np.diag(spread))
+    error[error == 0] = 1.0  # of what does nothing, whose change is zero
+    return float(change / error @ np.linalg.lstsq(spread / np.outer(error, error), change / error, rcond=1e-9)[0])
 
 
 def null_gains(
@@ -127,7 +121,7 @@ def in_few(known: Evidence, places: dict[str, list[int]]) -> list[str]:
 
 def _shares(known: Evidence) -> np.ndarray:
     """What each window (W,) adds to the curvature, all columns counted alike."""
-    return known.weight * np.einsum("wkl,lk->w", known.a, np.linalg.pinv(known.normal[0], hermitian=True))
+    return known.weight * np.einsum("wkl,lk->w", known.a, inverse(known.normal[0]))
 
 
 def borrowed_gains(

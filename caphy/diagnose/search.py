@@ -99,15 +99,16 @@ class Screen:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Accepted in a round: the group, the fit with it, the share of the misfit that each candidate took, and those that
-    came so near on roll-outs that nothing tells which it is. One of several is ``slight`` where it takes away so little
-    that held-out windows must prove it."""
+    """Accepted in a round: the group, the fit with it, what candidates were ``weighed`` by, and those that came so near
+    on roll-outs that nothing tells which it is. One of several is ``slight`` where it takes away so little that windows
+    that are held out must prove it. Candidates that were fitted ``took`` so much of the misfit."""
 
     group: Group
     fit: Fit
-    tried: dict[str, float]
+    weighed: dict[str, float]
     even: tuple[Group, ...] = ()
     slight: bool = False
+    took: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -335,7 +336,8 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool, held_out: 
     far = fits[label].misfit + _ROLLED * last.misfit
     groups = {score.group.label: score.group for score in near}
     even = tuple(groups[other] for other, each in fits.items() if other != label and each.misfit <= far)
-    return Term(chosen.group, best, shares, even, slight)
+    took = {**{each: fitted.share for each, fitted in fits.items()}, label: best.share}
+    return Term(chosen.group, best, shares, even, slight, took)
 
 
 def _own_gain(last: Screen) -> float:
@@ -445,6 +447,13 @@ def take_back(study: Study, found: Search, term: Term) -> None:
     found.terms = others
 
 
+def looked_again(study: Study, found: Search, original: Model, base: Base | None) -> None:
+    """Screen what is left once more where effects of the last screen's model were taken back."""
+    if len(found.model.effects) < len(found.screens[-1].model.effects):
+        far = found.taken > SMALL
+        found.screens.append(screen(study, found.model, original, base, found.screens[0], far))
+
+
 def refitted(study: Study, found: Search, groups: Sequence[Group], what: str) -> Fit:
     """Groups fitted from the numbers that they have by now, without those of others."""
     assert found.fit is not None
@@ -460,7 +469,8 @@ def refitted(study: Study, found: Search, groups: Sequence[Group], what: str) ->
 def _lost(fitted: Fit, term: Term) -> float:
     """Share of the misfit that comes back without a term, by tangents, the other numbers free."""
     gone = np.array([column in term.group.columns for column in fitted.columns])
-    known, change = fitted.evidence, np.where(gone, -fitted.change, 0.0)
+    known = fitted.evidence
+    change = np.where(gone, -from_the_end(fitted.columns, fitted.change), 0.0)
     normal, right = known.normal
     change[~gone] = ridged(normal[np.ix_(~gone, ~gone)], (right - normal @ change)[~gone], 1e-9)
     here, there = float((known.weight * known.c).sum()), float(known.misfit(change).sum())

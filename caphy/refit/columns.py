@@ -95,6 +95,11 @@ def _entries(parameter: Parameter) -> list[Entry]:
     return [tuple(map(int, entry)) for entry in np.ndindex(np.shape(parameter.default))]
 
 
+def strengths(columns: Sequence[Column]) -> set[str]:
+    """Names of the numbers that are zero where nothing acts: not frequencies, which never are."""
+    return {c.name for c in columns if c.entry is None or c.parameter in find_effect(c.effect).coefficients}
+
+
 def extended(model: Model, columns: Sequence[Column]) -> Model:
     """The model with the effects of all columns present, those that were not switched off."""
     for column in columns:

@@ -22,6 +22,7 @@ from caphy.kept import Kept
 from caphy.measure.prediction import Window, Windows
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered, registered_as
+from caphy.measure.windows import LENGTH
 from caphy.processes import cores, end_at_ctrl_c, one_thread_each
 from caphy.refit.columns import Column
 from caphy.refit.responses import ARRAYS, Response, Watched, watched
@@ -101,12 +102,17 @@ class Crew:
         jobs: dict[Future, list[int]] = {}
         for number in sorted({scene for scene, _ in places}):
             for who, each in enumerate(self._each):
-                share = [i for i, place in enumerate(places) if place[0] == number and i % len(self._each) == who]
+                share = [i for i, place in enumerate(places) if place[0] == number and self._owner(place) == who]
                 if share:
                     frames = [places[i][1] for i in share]
                     jobs[each.submit(_respond, study, number, frames, model, tuple(columns), pushes, anew)] = share
         for share, answers in self._done(jobs, "rolled out windows"):
             yield from zip(share, answers, strict=True)
+
+    def _owner(self, place: Place) -> int:
+        """The process that knows a window, the same in all studies of it, whichever of its windows they have."""
+        number, frame = place
+        return (number + frame // LENGTH) % len(self._each)
 
     def predict(self, scene: Scene, model: Model, length: int, starts: Sequence[int]) -> Iterator[Window]:
         """Windows of a scene that start at some frames, as :class:`caphy.measure.prediction.Windows` tells them, in the

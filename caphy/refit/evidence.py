@@ -225,6 +225,15 @@ def ridged(normal: np.ndarray, right: np.ndarray, ridge: float) -> np.ndarray:
     return solution
 
 
+def inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse (K, K) of a curvature, zero for numbers that do nothing; each is solved for in a unit of its own, as by
+    :func:`ridged`."""
+    diagonal = np.diag(normal)
+    per_unit = np.divide(1.0, np.sqrt(np.abs(diagonal)), out=np.zeros_like(diagonal), where=diagonal > _NOTHING)
+    scale = np.outer(per_unit, per_unit)
+    return np.linalg.pinv(normal * scale, hermitian=True) * scale
+
+
 def bounded(normal: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """The minimiser (K,) of x.A x - 2 b.x within bounds, by clamping what strays and solving again.
 

@@ -97,7 +97,7 @@ class Fit:
     @property
     def settled(self) -> bool:
         """Whether the step that is left is small beside the change so far, where the windows can tell."""
-        normal, change = self.evidence.normal[0], self.change
+        normal, change = self.evidence.normal[0], from_the_end(self.columns, self.change)
         # Curvatures that have exploded since the origin say that all has been done; no fit takes more than was there.
         whole = min(float(change @ normal @ change), float((self.first.weight * self.first.c).sum()))
         return self.promise < max(_SETTLED * whole, _NOTHING * self.misfit)

@@ -8,7 +8,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from caphy.refit.borrowed import deciding, few
-from caphy.refit.evidence import Evidence, ridged
+from caphy.refit.evidence import Evidence, inverse, ridged
 from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
 
@@ -36,8 +36,8 @@ def deviations(known: Evidence, seed: int = 0) -> np.ndarray:
 
 def _free(known: Evidence) -> np.ndarray:
     """Degrees of freedom (K,) of each number's spread: windows left over, of those that decide where these are few."""
-    inverse = np.linalg.pinv(known.normal[0], hermitian=True)
-    shares = known.weight[:, None] * np.einsum("kl,wlm,mk->wk", inverse, known.a, inverse)
+    inner = inverse(known.normal[0])
+    shares = known.weight[:, None] * np.einsum("kl,wlm,mk->wk", inner, known.a, inner)
     count = [deciding(share) if few(share) else int((known.weight > 0.05).sum()) for share in shares.T]
     return np.maximum(np.array(count) - known.b.shape[1], 2)
 
@@ -68,19 +68,20 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     and the wider interval counts.
     """
     known = 0.0 if learned is None else learned.doubt(fit.columns, motions, fit.follow, fit.first)
-    by_retelling = np.array([fit.by_retelling.get(column, 0.0) for column in fit.columns])
-    known = np.hypot(known, by_retelling / norm.ppf(0.5 + LEVEL / 2))
+    relative = np.array([column.entry is None for column in fit.columns], dtype=bool)
+    scale = np.where(relative, 1 + fit.change, 1.0)  # windows tell relative numbers from the end
+    retold = np.array([fit.by_retelling.get(column, 0.0) for column in fit.columns]) / scale
+    known = np.hypot(known, retold / norm.ppf(0.5 + LEVEL / 2))
     doubts = known, np.hypot(known, fit.step)
     own, wide = half_widths(fit.evidence, *doubts)
     if fit.weighed_first is not None:
         own, wide = np.maximum((own, wide), half_widths(fit.weighed_first, *doubts))
     below, above = np.where(fit.step < 0, wide, own), np.where(fit.step > 0, wide, own)
     found = {}
-    for column, change, less, more in zip(fit.columns, fit.change, below, above, strict=True):
-        relative = column.entry is None
-        value, scale = (change, 1 + change) if relative else (column.value(fit.model), 1.0)
-        low, high = value - scale * less, value + scale * more
-        if relative:  # in proportion nothing changes sign
+    for column, change, less, more in zip(fit.columns, fit.change, scale * below, scale * above, strict=True):
+        value = change if column.entry is None else column.value(fit.model)
+        low, high = value - less, value + more
+        if column.entry is None:  # in proportion nothing changes sign
             low = max(low, -1.0)
         else:  # a drag is known to be none that drives
             low, high = max(low, column.declared.lower), min(high, column.declared.upper)

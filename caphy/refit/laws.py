@@ -39,7 +39,8 @@ def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weig
     values = effect.start(best.model.effects[effect.refines])
     start = best.model.without_effect(effect.refines).with_effect(law, **values)
     found = _fitted_on(study, best, start, law, columns, variance, weight)
-    return replace(found, follow=_led_astray(study, found, law, addition(effect.refines), variance))
+    led = _led_astray(study, found, law, addition(effect.refines), variance)
+    return replace(found, follow={**found.follow, **led})
 
 
 def told_further(study: Study, best: Fit, name: str, variance: np.ndarray, weight: np.ndarray) -> Fit:
@@ -62,7 +63,7 @@ def _fitted_on(
     found = fit(study, start, columns, responses, variance, weight, what, most=best.most)
     idle = _beside(best.origin.without_effect(name), found.model)
     first = evidence(study.respond(idle, columns, what, anew={"solver"}), variance, best.first.weight)
-    return replace(found, origin=idle, first=first, by_retelling=best.by_retelling)
+    return replace(found, origin=idle, first=first, by_retelling=best.by_retelling, follow=best.follow)
 
 
 def _led_astray(

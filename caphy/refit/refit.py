@@ -17,7 +17,7 @@ from caphy.measure.scene import Scene
 from caphy.measure.track import Progress
 from caphy.refit.again import fitted_again
 from caphy.refit.clouds import all_registered
-from caphy.refit.columns import Column, addition, extended, further, moved, tunable
+from caphy.refit.columns import Column, addition, extended, further, moved, strengths, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.descent import fit, retold, weighed_anew
 from caphy.refit.evidence import evidence, robust_weights
@@ -117,7 +117,7 @@ def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: 
     found, there = [], "on held-out measurements"
     fell = f"falls by {100 * errors.share:z.1f} %"
     medians = f"goes from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
-    if added and not any(low > 0 or high < 0 for _, low, high, *_ in numbers.values()):
+    if added and not any(numbers[name][1] > 0 or numbers[name][2] < 0 for name in strengths(fitted.columns)):
         found.append("none of its numbers is surely different from zero")
     if errors.share < LEAST:
         found.append(f"{there} the misfit must fall by {100 * LEAST:.0f} %, but {fell}")

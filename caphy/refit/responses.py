@@ -118,7 +118,12 @@ class Watched:
         """Frames at which whole windows can start."""
         some = StartStates(self.scene, self.scene.potential(Model(1.0, {"gravity": {}})))
         last = len(self.scene.measurement) - 1
-        return [frame for frame in window_starts(some, self.length) if frame + self.length <= last]
+        enough = self.scene.measurement.observed.mean(axis=1) >= ENOUGH
+        return [
+            frame
+            for frame in window_starts(some, self.length)
+            if frame + self.length <= last and enough[frame + 1 : frame + 1 + self.length].any()
+        ]
 
     def respond(
         self,
@@ -176,7 +181,12 @@ class Watched:
         found = {}
         for place, column in enumerate(columns):
             effect = find_effect(column.effect)
-            if effect.abrupt and column.value(model) == 0 and (self.scene.motion is not None or not effect.needs_body):
+            if (
+                effect.abrupt
+                and column.entry is not None
+                and column.value(model) == 0
+                and (self.scene.motion is not None or not effect.needs_body)
+            ):
                 amount = float(column.declared.default)  # type: ignore[arg-type]
                 found[place] = amount, _simulator(self.scene, moved(model, (column,), np.array([amount])))
         return found

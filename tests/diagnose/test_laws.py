@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,10 @@ from caphy.diagnose.diagnosis import diagnose
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
+from caphy.refit import laws
+from caphy.refit.columns import Column, addition
+from caphy.refit.evidence import Evidence
+from caphy.refit.fit import Fit
 from caphy.refit.laws import signed_ranks
 from caphy.refit.refit import refit
 
@@ -118,3 +123,18 @@ def test_signed_ranks_are_those_of_another_package():
         differences = random.normal(shift, 1.0, 25)
         other = wilcoxon(differences, method="approx", alternative="greater")
         assert signed_ranks(differences) == pytest.approx(other.zstatistic)
+
+
+def test_what_the_base_doubts_of_one_law_is_not_forgotten_with_the_next(monkeypatch):
+    """A quadratic wind is told, then the frequency of a gust beside it."""
+    push = Column("wind_normal_quadratic", "coefficient")
+    told = {push: {Column("wind_normal", "coefficient"): 0.3}}
+    columns = (*addition("wind_normal_quadratic"), *addition("gust"))
+    best = SimpleNamespace(columns=columns, model=MODEL, origin=MODEL, most=None, by_retelling={}, follow=told)
+    best.first = SimpleNamespace(weight=None)
+    study = SimpleNamespace(respond=lambda *_, **__: [])
+    known = Evidence(np.ones((1, 1, 1)), np.ones((1, 1)), np.ones(1), np.ones(1), np.ones(1))
+    fitted = Fit(MODEL, MODEL, columns, known, [], known, 1.0, np.ones(1))
+    monkeypatch.setattr(laws, "fit", lambda *_, **__: fitted)
+    monkeypatch.setattr(laws, "evidence", lambda *_: known)
+    assert laws.told_further(study, best, "gust", known.c, known.c).follow == told

@@ -14,12 +14,13 @@ from caphy.diagnose.outside import outside
 from caphy.diagnose.screen import Score
 from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search, Term, finalists, ranked
 from caphy.effects.model import Model
-from caphy.refit.columns import Column, addition, extended, moved
+from caphy.refit.columns import Column, addition, extended, further, moved
 from caphy.refit.evidence import Evidence
 from caphy.refit.fit import Fit
 from caphy.refit.heldout import HeldOut
 
 DRAG, PRESSURE = Group("mass_damping", addition("mass_damping")), Group("pressure", addition("pressure"))
+MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 STIFFNESS = Group("strain_stvk", (Column("strain_stvk", "lame_mu", None),), own=True)
 
 
@@ -73,6 +74,35 @@ def test_a_parameter_that_went_as_far_as_it_may_is_told(by, told):
     assert ("as far as it is moved (10 times)" in figures._limit(by)) == told
 
 
+def test_a_frequency_is_surely_not_zero_and_proves_nothing():
+    gust = (*addition("gust"), *further("gust"))
+    numbers = {column.name: Coefficient(0.0, -1.0, 1.0, "m/s") for column in addition("gust")}
+    numbers["gust.frequency"] = Coefficient(1.0, 0.01, 3.0, "Hz")
+    found = Search(fit=SimpleNamespace(columns=gust))
+    assert "different from zero" in unproven(0.2, None, diagnosis._acting(found, numbers))
+
+
+def test_what_a_relative_change_loses_is_counted_from_where_it_ended():
+    """Windows that ask for threefold of a stiffness, all of whose misfit of 4 comes back without it."""
+    first, there = (Model(0.2, {"strain_stvk": {"lame_mu": mu}}) for mu in (10.0, 30.0))
+    ends = Evidence(np.ones((5, 1, 1)), np.zeros((5, 1)), np.full(5, 4.0), np.ones(5), np.full(5, 40))
+    fit = Fit(first, there, STIFFNESS.columns, ends, [], ends, 20.0, np.ones(5))
+    assert search._lost(fit, Term(STIFFNESS, fit, {})) == pytest.approx((2 / 3) ** 2 / (4 + (2 / 3) ** 2))
+
+
+def test_what_was_taken_back_is_looked_at_again(monkeypatch):
+    with_both, with_one = MODEL.with_effect("mass_damping", rate=1.0).with_effect("pressure", pressure=1.0), MODEL
+    seen = []
+    monkeypatch.setattr(search, "screen", lambda study, model, *_: seen.append(model) or SimpleNamespace(model=model))
+    found = Search([SimpleNamespace(model=MODEL), SimpleNamespace(model=with_both)])
+    found.fit = SimpleNamespace(model=with_both, share=0.2)
+    search.looked_again(SimpleNamespace(), found, MODEL, None)
+    assert not seen
+    found.fit = SimpleNamespace(model=with_one, share=0.2)
+    search.looked_again(SimpleNamespace(), found, MODEL, None)
+    assert seen == [with_one] and found.screens[-1].model is with_one
+
+
 def test_what_explains_far_less_than_the_best_is_not_refitted():
     assert labels(finalists(screen(score(DRAG, 0.9), score(PRESSURE, 0.2)))) == ["mass_damping"]
     assert labels(finalists(screen(score(DRAG, 0.3), score(PRESSURE, 0.2)))) == ["mass_damping", "pressure"]
@@ -116,7 +146,7 @@ def test_a_further_effect_that_cannot_come_to_enough_is_not_fitted_to_the_end(pr
 def test_a_slight_further_effect_is_let_in_where_held_out_windows_can_prove_it(
     share, held_out, own, slight, monkeypatch
 ):
-    fit = SimpleNamespace(promise=0.0, converged=True, misfit=290.0)
+    fit = SimpleNamespace(promise=0.0, converged=True, misfit=290.0, share=0.3)
     near = score(PRESSURE, 0.2 * search.SMALL)
     known = SimpleNamespace(weight=None)
     scores = [near, score(STIFFNESS, own * near.gain)]
@@ -128,6 +158,7 @@ def test_a_slight_further_effect_is_let_in_where_held_out_windows_can_prove_it(
     monkeypatch.setattr(search, "retold", lambda *_: fit)
     term = search._next_term(SimpleNamespace(), found, True, held_out)
     assert (None if term is None else term.slight) == slight
+    assert term is None or (term.weighed, term.took) == ({"pressure": near.gain}, {"pressure": fit.share})
 
 
 def held_out(share: float, error: float, after_mm: float = 2.95) -> HeldOut:

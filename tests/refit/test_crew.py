@@ -51,6 +51,20 @@ def test_a_crew_finds_what_one_process_does(scene, tmp_path, monkeypatch):
     assert told[-1] == ("trying", len(wanted), len(wanted))
 
 
+def test_some_windows_ask_the_processes_that_know_them(scene):
+    """Where the mesh's error was told of another model, what is left does not hang on how many processes there are."""
+    stiffer, left = Model(0.2, {**MODEL.effects, "strain_stvk": {"lame_mu": 300.0}}), []
+    with Crew(size=2) as crew:
+        for who in (None, crew):
+            study = Study([scene], crew=who, mesh=1.0)
+            study.respond(MODEL, (), anew={"solver"})
+            some = study.some(range(1, sum(map(len, study.starts)), 2))
+            some.respond(stiffer, (), anew={"solver"})
+            left.append([each.residual for each in study.respond(MODEL, ())])
+    for one, other in zip(*left, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+
+
 def test_windows_predicted_by_a_crew_are_those_of_one_process(scene):
     told = []
     with Crew(size=2) as crew:

@@ -158,6 +158,29 @@ def test_what_retelling_the_mesh_moved_is_in_doubt():
     assert higher - 2.0 == pytest.approx(np.hypot(high - 2.0, 0.5), rel=1e-6)
 
 
+def test_of_a_relative_number_too():
+    """A stiffness that is told as threefold, by retelling the mesh a half of the first more: so much on either side."""
+    stiffness = Column("strain_stvk", "lame_mu", None)
+    model, known = Model(0.2, {"strain_stvk": {"lame_mu": 10.0}}), windows(np.array([0.0]), np.random.default_rng(2))
+    sharp = replace(known, a=1e6 * known.a, b=0 * known.b)
+    fit = Fit(model, Model(0.2, {"strain_stvk": {"lame_mu": 30.0}}), (stiffness,), sharp, [], sharp, 1.0, np.ones(15))
+    value, low, high, _ = intervals(replace(fit, by_retelling={stiffness: 0.5}), None, 3)["strain_stvk.lame_mu"]
+    assert value == pytest.approx(2.0)
+    assert (value - low, high - value) == pytest.approx((0.5, 0.5), rel=1e-2)
+
+
+def test_a_fit_has_settled_by_what_its_change_takes_away_where_it_ended():
+    """A stiffness six times as large: of the curvature there the whole change is 5/6, not 5."""
+    stiffness = Column("strain_stvk", "lame_mu", None)
+    first, there = (Model(0.2, {"strain_stvk": {"lame_mu": mu}}) for mu in (10.0, 60.0))
+    one = np.ones((5, 1, 1))
+    before = Evidence(one, np.ones((5, 1)), np.full(5, 1e3), np.ones(5), np.full(5, 40))
+    after = replace(before, b=np.full((5, 1), 0.05))
+    fit = Fit(first, there, (stiffness,), before, [], after, 1.0, np.ones(5))
+    assert fit.promise == pytest.approx(5 * 0.05**2)
+    assert not fit.settled
+
+
 def test_the_way_that_is_left_is_told_by_two_steps():
     """Steps of 1 and 1/2 lead one further; steps that turn, or do not shrink, are not followed that far."""
     metric = np.diag([1.0, 4.0])

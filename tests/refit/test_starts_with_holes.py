@@ -48,6 +48,16 @@ def test_a_start_hardly_minds_what_was_not_seen(cloth, share, most_mm, most_mm_p
     assert 1e3 * np.sqrt(np.mean((moving - v) ** 2)) < most_mm_per_s
 
 
+def test_a_window_in_which_too_little_was_seen_tells_nothing(cloth):
+    """Each of its frames shows a third of the vertices, others in each, so that a start can be told."""
+    vertices, first = cloth.vertices.copy(), 10
+    vertices[first:][np.random.default_rng(5).random(vertices[first:].shape[:2]) > 0.35] = np.nan
+    watched = Watched(Scene.of(replace(cloth, vertices=vertices)))
+    states = StartStates(watched.scene, watched.scene.potential(MODEL))
+    assert any(states.possible(frame) for frame in range(first, len(vertices) - 9))
+    assert max(watched.starts()) < first
+
+
 def test_where_the_cloth_hangs_does_not_matter(cloth):
     far = np.array([4.0, 0.0, -3.0])
     moved = replace(

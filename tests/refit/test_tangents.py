@@ -83,6 +83,14 @@ def test_the_response_to_dry_friction_is_that_of_a_roll_out_with_it(on_ball):
     np.testing.assert_allclose(-(there.residual - here.residual) / 0.3, told, atol=1e-9)
 
 
+def test_friction_that_is_there_is_told_by_tangents(on_ball):
+    """In proportion too: only its first bit does all."""
+    model = DAMPED.with_effect("body_contact").with_effect("body_friction", coefficient=0.3)
+    assert not on_ball._abrupt(model, (Column("body_friction", "coefficient", None),))
+    assert not on_ball._abrupt(model, (Column("body_friction", "coefficient"),))
+    assert on_ball._abrupt(model.without_effect("body_friction"), (Column("body_friction", "coefficient"),))
+
+
 @pytest.mark.parametrize("few", [12, 0], ids=["along", "by matrices"])
 def test_more_friction_than_there_is_moves_cloth_as_roll_outs_do(on_ball, few, monkeypatch):
     """Its push is that of where each step ends, which tangents take as it is: hence a tenth."""
