@@ -5,10 +5,12 @@ Format: Wavefront, "Appendix B1. Object Files (.obj)", Advanced Visualizer Manua
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
+from caphy.errors import CaphyError
 from export.motion import DressedMotion, write_whole
 
 
@@ -20,8 +22,16 @@ def obj_bytes(name: str, vertices: np.ndarray, faces: np.ndarray) -> bytes:
 
 
 def write_obj_sequence(motion: DressedMotion, folder: Path) -> list[Path]:
-    """``body_0000.obj`` and so on, one file per mesh and frame; returns them."""
+    """``body_0000.obj`` and so on, one file per mesh and frame; returns them.
+
+    Raises :class:`CaphyError` where the folder would hold frames of another motion as well.
+    """
     digits = max(4, len(str(len(motion) - 1)))
+    frames = {f"{name}_{frame:0{digits}}.obj" for name, *_ in motion.meshes() for frame in range(len(motion))}
+    there = sorted(file.name for file in folder.glob("*_*.obj")) if folder.is_dir() else []
+    others = [file for file in there if re.fullmatch(r".+_\d{4,}\.obj", file) and file not in frames]
+    if others:
+        raise CaphyError(f"{folder}: holds {len(others)} frames of another motion ({others[0]}); give an empty folder")
     written = []
     for name, mesh, vertices in motion.meshes():
         for frame, points in enumerate(vertices):

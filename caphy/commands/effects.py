@@ -228,5 +228,8 @@ def _check_one(name: str) -> int:
             print(f"{name}  lacks: FAILED  there is no property {key!r}; there are {', '.join(sorted(names))}")
     rightly = [key for key in failed if key in names and key not in (*lacks, *broke)]
     if rightly and not _ALWAYS.intersection(failed):
-        print(f'what it rightly lacks it may say: lacks = {{"{rightly[0]}": "why"}}')
+        print(
+            f"mend it; only where physics wants it so may the effect say so, with the reason: "
+            f'lacks = {{"{rightly[0]}": "the reason, in words"}}'
+        )
     return len(failed)

@@ -26,14 +26,15 @@ class Export:
     """Write an avatar bundle: one ONNX graph per trained garment, checked against its network, and the body.
 
     Given an avatar bundle instead, write its garments' graphs anew: older ones may be slower than today's.
-    With --format, write an avatar bundle that exists for other programs: at rest, or dressed on a motion.
+    With --format, write an avatar bundle that exists for other programs, dressed on a motion; as glb also without one.
     """
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Folders that 'caphy train' wrote, one per garment, innermost garment first; or one avatar bundle ("default" is
     the one that comes along)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The bundle to write, a folder; with --format, a file ending in .glb or .usdc, or a folder for pc2 and obj."""
+    """The bundle to write, a folder; with --format, a file ending in .glb, .usdc or .usda, or a folder for pc2 or
+    obj."""
     format: Literal["bundle", "glb", "usd", "pc2", "obj"] = "bundle"
     """What to write. glb without --poses is the avatar itself, with the networks' blend shapes as morph targets."""
     poses: Path | None = None

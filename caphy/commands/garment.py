@@ -125,8 +125,8 @@ def check(
     from caphy.garment.from_mesh import garment_from_mesh
 
     garment = garment_from_mesh(mesh, file.stem, marks, panel_scale=options.panel_scale)
-    print(f"{file}: usable as a garment")
-    _describe(mesh, marks, garment.provenance["metric"])
+    print(f"{file}: can be made a garment")
+    _describe(mesh, marks, garment)
 
 
 def from_mesh(
@@ -144,18 +144,21 @@ def from_mesh(
     Args:
         file: the mesh.
         output: the garment npz to write.
-        name: name of the garment; the file's by default.
+        name: name of the garment, of lower-case letters, digits, - and _; the file's by default.
         waistband: hold the highest opening to the body, as trousers and skirts need.
         layer_thickness: extra distance to keep from the body [m], for what is worn over something else.
         body: SMPL-X-format npz; default: the bundled body.
         betas: shape coefficients of the body.
     """
     from caphy.garment.from_mesh import garment_from_mesh
+    from caphy.io.bundle import require_garment_name
 
+    name = name or file.stem
+    require_garment_name(name, str(file), "give one with --name")
     mesh, marks = _read(file, options, body, betas)
     garment = garment_from_mesh(
         mesh,
-        name or file.stem,
+        name,
         marks,
         panel_scale=options.panel_scale,
         waistband=waistband,
@@ -164,7 +167,7 @@ def from_mesh(
     )
     garment.save(writable_file(output))
     print(f"{output}: {garment.name}")
-    _describe(mesh, marks, garment.provenance["metric"])
+    _describe(mesh, marks, garment)
 
 
 def render(garments: Positional[tuple[Path, ...]], output: Output, body: Path | None = None, betas: Betas = ()) -> None:
@@ -209,7 +212,7 @@ def _read(file: Path, options: MeshOptions, body: Path | None, betas: Betas) -> 
     return replace(mesh, vertices=mesh.vertices + np.array(options.offset)), marks
 
 
-def _describe(mesh: UserMesh, marks: Landmarks, metric: str) -> None:
+def _describe(mesh: UserMesh, marks: Landmarks, garment: Garment) -> None:
     from caphy.garment import topology
     from caphy.garment.from_mesh import clearance
 
@@ -219,7 +222,11 @@ def _describe(mesh: UserMesh, marks: Landmarks, metric: str) -> None:
         f"  {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {len(topology.boundary_loops(mesh.faces))} openings"
     )
     print(f"  smallest angle under 20 degrees in {100 * (angles < 20).mean():.1f} % of the faces")
-    print(f"  rest metric: {metric}")
+    print(f"  rest metric: {garment.provenance['metric']}")
+    names, counts = np.unique(garment.regions, return_counts=True)
+    most = sorted(zip(counts.tolist(), names.tolist(), strict=True), reverse=True)[:4]
+    shares = ", ".join(f"{name} {100 * count / len(mesh.vertices):.0f} %" for count, name in most)
+    print(f"  moves with {shares}; elsewhere on the body? Move it with --offset, or turn it with --up")
     print(
         f"  {100 * (distance < 0).mean():.1f} % of the vertices lie inside the body; "
         f"the lowest clearance is {1000 * distance.min():.1f} mm"

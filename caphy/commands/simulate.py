@@ -68,12 +68,15 @@ def _simulate(command: Simulate, folder: Path) -> None:
     from caphy.effects.cloth import Cloth
     from caphy.effects.potential import Potential
     from caphy.io.poses import read_poses
+    from caphy.io.poses.sequence import RATES
     from caphy.solve.body_motion import BodyMotion
     from caphy.solve.integrators import find_integrator
     from caphy.solve.rollout import simulate
 
     garment, model, body = _garment(command.garment), _model(command), load_body(command.body)
     kept = Kept(folder, command.effect_file)  # of effects that are registered by now
+    if not RATES[0] <= command.fps <= RATES[1]:
+        raise CaphyError(f"--fps must lie between {RATES[0]:g} and {RATES[1]:g}, got {command.fps:g}")
     poses = read_poses(command.poses).resample(command.fps)
     if command.seconds is not None:
         poses = poses[: round(command.seconds * command.fps) + 1]

@@ -158,12 +158,24 @@ def _take_device(device: str) -> None:
 
     if device == "cpu":
         return
+    if device.partition(":")[0] != "cuda":
+        raise CaphyError(f"--device must be cpu or cuda, got {device!r}")
     if not torch.cuda.is_available():
         raise CaphyError(f"--device {device}: torch finds no CUDA device here; use --device cpu")
     process = int(os.environ.get("LOCAL_RANK", "0"))
     if process >= torch.cuda.device_count():
         raise CaphyError(f"each process needs a GPU of its own: start {torch.cuda.device_count()}, not {process + 1}")
     torch.cuda.set_device(process)
+
+
+def _garment(path: Path) -> Garment:
+    """A garment that can be exported in the end."""
+    from caphy.garment.template import Garment
+    from caphy.io.bundle import require_garment_name
+
+    garment = Garment.load(path)
+    require_garment_name(garment.name, str(path), "make it again with 'caphy garment from-mesh --name'")
+    return garment
 
 
 def prepare(options: Train, record: bool = True) -> Trainer:
@@ -176,7 +188,6 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     from caphy.effects.cloth import Cloth
     from caphy.effects.own import use_file
     from caphy.effects.potential import Potential
-    from caphy.garment.template import Garment
     from caphy.network.garment_network import GarmentNetwork
     from caphy.training.initial import read_initial, read_likeness
     from caphy.training.loop import Schedule, Trainer
@@ -189,7 +200,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     for file in options.effect_file:
         use_file(file)
     options = _found(options)
-    garment = Garment.load(options.garment)
+    garment = _garment(options.garment)
     initial = None if options.init is None else read_initial(options.init, garment)
     model, shape = _model(options, initial), options.betas or (initial.betas if initial else ())
     body = default_body() if options.body is None else BodyModel.load(options.body)

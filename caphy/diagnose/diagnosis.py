@@ -321,14 +321,16 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
         return "none of its numbers is surely different from zero"
     if errors is None or errors.proves(taken):
         return ""
+    by = f"{'rises' if errors.share < 0 else 'falls'} by {100 * abs(errors.share):.1f} %"
     doubt = f"error {100 * errors.share_error:.0f} %"
     if errors.few is not None:
         few = errors.few
-        doubt = f"few windows decide: {100 * few.promise:.1f} % if right, up to {100 * few.chance:.1f} % by chance"
+        doubt = (
+            f"few windows decide: {100 * few.promise:.1f} % if right, up to {100 * max(few.chance, 0):.1f} % by chance"
+        )
     return (
-        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted, and {100 * errors.share:z.1f} % "
-        f"({doubt}) on held-out measurements, where the median went from {errors.before_mm:.2f} to "
-        f"{errors.after_mm:.2f} mm"
+        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted; on held-out measurements the misfit "
+        f"{by} ({doubt}), where the median went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
     )
 
 

@@ -135,13 +135,16 @@ class Model:
             if "format" not in data and data.get("schema", 1) != 1:
                 raise ValueError(f"schema must be 1, got {data['schema']!r}; this caphy is older than the file")
             density = data["density_kg_per_m2"]
-            if isinstance(density, (bool, str)):
+            if isinstance(density, bool) or not isinstance(density, (int, float)):
                 raise TypeError(f"density_kg_per_m2 must be a number, got {json.dumps(density)}")
             if density > DENSEST:
                 raise ValueError(f"density_kg_per_m2 must not be over {DENSEST:g}, got {density:g}; is it in g/m^2?")
+            for name, values in data["effects"].items():
+                if not isinstance(values, dict):
+                    raise TypeError(f"the parameters of {name} must be an object, got {json.dumps(values)}")
             history = tuple(Revision.from_dict(entry) for entry in data.get("history", ()))
             return cls(float(density), data["effects"], history)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise CaphyError(
                 f"{source}: not a physics model ({type(error).__name__}: {error}); it must be JSON with "
                 '"density_kg_per_m2": number and "effects": {name: {parameter: value}}; see caphy effects list'

@@ -11,6 +11,7 @@ from caphy.garment import panels, threads, topology
 from caphy.garment.attach import skinning_weights
 from caphy.garment.cut import smooth_step
 from caphy.garment.dressing import thread_guide
+from caphy.garment.families import RANGES
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.garment.usermesh import UserMesh
@@ -38,8 +39,12 @@ def garment_from_mesh(
     ``waistband`` holds the highest opening to the body. Regions are named after the joint that moves them most.
 
     Raises
-        CaphyError: if the mesh is nowhere near the body, mostly within it, or inside out, or has faces without area.
+        CaphyError: if the layer is none to be worn, or the mesh is nowhere near the body, mostly within it, inside out,
+            or has faces without area.
     """
+    low, high = RANGES["layer_thickness"]
+    if not low <= layer_thickness <= high:
+        raise CaphyError(f"{name}: layer thickness must lie between {low:g} and {high:g} m, got {layer_thickness:g} m")
     distance = clearance(mesh, marks)
     if np.median(np.abs(distance)) > FARTHEST:
         raise CaphyError(

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from zipfile import is_zipfile
 
 import numpy as np
 
@@ -151,4 +152,5 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     except FileNotFoundError as error:
         raise CaphyError(f"{path}: there is no such file") from error
     except Exception as error:
-        raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({error})") from error
+        why = "it is no npz" if path.is_file() and not is_zipfile(path) else error  # numpy takes it for a pickle
+        raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({why})") from error

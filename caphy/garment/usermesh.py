@@ -16,6 +16,8 @@ SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 UNITS = {1.0: "metres", 0.1: "decimetres", 0.01: "centimetres", 0.001: "millimetres", 0.0254: "inches"}
 PLAUSIBLE = (0.25, 2.2)
 """Longest side [m] that a garment may have."""
+_NAMED = 6  # pieces of a mesh that are named at most
+_TAKE = "pass --component upper, --component lower or --component N to take one"
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,8 @@ def _read_obj(path: Path) -> RawMesh:
     for name, groups, count in (("vertex", polygons, len(vertices)), ("vt", uv_polygons, len(uv))):
         worst = max((i for g in groups for i in g), default=-1)
         if worst >= count or min((i for g in groups for i in g), default=0) < 0:
-            raise CaphyError(f"{path}: a face refers to {name} {worst + 1}, but there are only {count}")
+            wrong = f"{name} {worst + 1}" if worst >= count else f"one before the first {name}"
+            raise CaphyError(f"{path}: a face refers to {wrong}, but there are {count}, counted from 1")
     points = np.array(vertices, float).reshape(-1, 3)
     return RawMesh(path, points, polygons, np.array(uv, float).reshape(-1, 2), uv_polygons if complete else None)
 
@@ -100,7 +103,7 @@ def _read_obj(path: Path) -> RawMesh:
 def _index(word: str, count: int) -> int:
     """OBJ indices start at one; negative ones count back from the latest."""
     value = int(word)
-    return value - 1 if value > 0 else count + value
+    return value - 1 if value >= 0 else count + value
 
 
 def _read_with_trimesh(path: Path) -> RawMesh:
@@ -207,12 +210,14 @@ def _choose(raw: RawMesh, vertices: np.ndarray, faces: np.ndarray, component: st
     height = [float(vertices[faces[p]][..., 1].mean()) for p in parts]
     if component is None:
         if len(parts) > 1:
-            sizes = ", ".join(
+            largest = [
                 f"{i}: {len(p)} faces at height {h:.2f}" for i, (p, h) in enumerate(zip(parts, height, strict=True))
-            )
+            ][:_NAMED]
+            rest = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
+            apart = len(parts) == len(faces)
             raise CaphyError(
-                f"{raw.path}: must be one connected piece, got {len(parts)} ({sizes[:300]}); "
-                "pass --component upper, --component lower or --component N to take one"
+                f"{raw.path}: must be one connected piece, got {len(parts)} ({', '.join(largest)}{rest}); "
+                + ("join its vertices in a mesh editor (merge by distance)" if apart else _TAKE)
             )
         return parts[0]
     large = [i for i, p in enumerate(parts) if len(p) >= 0.2 * len(parts[0])]  # not a button or a belt loop

@@ -232,14 +232,22 @@ def _require_convention(manifest: Mapping[str, Any], path: Path) -> None:
             raise TypeError(f"{name} must be a {kind.__name__}, got {manifest[name]!r:.40}")
 
 
+def require_garment_name(name: str, where: str, remedy: str = "") -> None:
+    """Raise CaphyError unless a garment can be part of a bundle by its name."""
+    if not NAME_PATTERN.fullmatch(name) or name == "body":
+        raise CaphyError(
+            f"{where}: garment names are lower-case letters, digits, - and _, 39 at most, and not body, got {name!r}"
+            f"{remedy and f'; {remedy}'}"
+        )
+
+
 def require_consistent(bundle: AvatarBundle, where: str) -> None:
     """Raise CaphyError unless names, shapes, indices and values of a bundle fit together."""
     names = [g.name for g in bundle.garments]
     if not names or len(set(names)) < len(names):
         raise CaphyError(f"{where}: an avatar must have garments of different names, got {names}")
     for name in names:
-        if not NAME_PATTERN.fullmatch(name) or name == "body":
-            raise CaphyError(f"{where}: garment names are lower-case letters, digits, - and _, got {name!r}")
+        require_garment_name(name, where)
     if not FPS[0] <= bundle.fps <= FPS[1]:
         raise CaphyError(f"{where}: fps must lie between {FPS[0]:g} and {FPS[1]:g}, got {bundle.fps:g}")
     parents = bundle.parents

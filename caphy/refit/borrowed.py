@@ -36,7 +36,7 @@ def deciding(share: np.ndarray) -> float:
 
 def few(share: np.ndarray) -> bool:
     """Whether few windows decide, and as many or more do not: there must be an elsewhere to borrow from."""
-    return deciding(share) < min(FEW, len(share) / 2)
+    return len(share) > 1 and deciding(share) < min(FEW, len(share) / 2)
 
 
 def borrowed(

@@ -21,6 +21,11 @@ from caphy.tensile.search import Ranked
 LEAST_GAIN = 0.1
 CHANCE = 0.05
 _EXCHANGES = 400
+TOO_FEW = (
+    "There are too few loadings to tell what the first one has that repeats have not: by chance any of them may differ "
+    "as much; load each strip five times in each direction, or more strips."
+)
+"""What is said where no gain would be beyond chance."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ def usable(curves: Sequence[ForceCurve]) -> tuple[list[ForceCurve], list[str]]:
     if not curves:
         raise CaphyError("there are no force curves: a tensile table needs a header and rows; see docs/measurements.md")
     checked = [_checked(curve) for curve in curves]
-    cautions, kept = [], []
+    cautions, kept = _unloading(curves, checked), []
     for curve in checked:
         start = float(curve.force[:3].min())
         if start > _PRELOAD * curve.force.max():
@@ -95,6 +95,17 @@ def _loading_branch(curve: ForceCurve) -> ForceCurve:
     if end < _LEAST_ROWS:
         return curve
     return replace(curve, axial=curve.axial[:end], transverse=curve.transverse[:end], force=curve.force[:end])
+
+
+def _unloading(given: Sequence[ForceCurve], checked: Sequence[ForceCurve]) -> list[str]:
+    """What is said where rows were left out."""
+    cut = [old for old, new in zip(given, checked, strict=True) if len(new.axial) < len(old.axial)]
+    if not cut:
+        return []
+    return [
+        f"{_where(cut[0])} is let go after its largest strain, as are {len(cut)} of {len(given)} loadings: rows of "
+        "unloading are left out, so that nothing is said of what they show."
+    ]
 
 
 def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:

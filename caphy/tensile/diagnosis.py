@@ -11,7 +11,7 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve
 from caphy.kept import Kept
-from caphy.tensile.between import between_loadings, contrasts, learned
+from caphy.tensile.between import TOO_FEW, between_loadings, contrasts, learned
 from caphy.tensile.candidates import HISTORY, Candidates, candidates
 from caphy.tensile.coefficients import Coefficient, coefficients
 from caphy.tensile.errors import CurveError, curve_errors, held_out_residual, summary
@@ -109,6 +109,8 @@ def diagnose_curves(
     order, fabrics = [name for name in seen.added if name not in HISTORY], list(learning)
     names, ranking = search.chosen(order, fabrics)
     between = between_loadings(search.fits(numbers_of(names)), seen.added)
+    if between and np.isinf(between[0].threshold):
+        cautions = [*cautions, TOO_FEW]
     used = [row.effect for row in between[:1] if row.accepted]
     if used:  # what only repeats have must not be taken for a part of what all loadings have
         search = remembering(search, names, used)
@@ -292,7 +294,8 @@ def _rivals(ranking: Sequence[Ranked], used: Sequence[str]) -> list[str]:
     if not rivals:
         return []
     listed = ", ".join(f"{name} ({100 * gains[name]:.0f} %)" for name in rivals)
-    friction = "; unloading would, since friction opens a loop" if "hysteresis" in (named[0], *rivals) else ""
+    loop = "; unloading, which is not read here, would show it, since friction opens a loop"
+    friction = loop if "hysteresis" in (named[0], *rivals) else ""
     return [
         f"From the second loading on {listed} explains the difference nearly as well as {named[0]} "
         f"({100 * gains[named[0]]:.0f} %): these curves do not decide{friction}."

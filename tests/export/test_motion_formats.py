@@ -87,6 +87,13 @@ def test_obj_sequence(dressed, served, tmp_path):
     np.testing.assert_array_equal(mesh.faces, dressed.bundle.garment("trousers").mesh.faces)
 
 
+def test_frames_of_another_motion_are_not_mixed_in(dressed, bundle, motion, tmp_path):
+    write_obj_sequence(dressed, tmp_path)
+    write_obj_sequence(dressed, tmp_path)
+    with pytest.raises(CaphyError, match=r"holds 9 frames of another motion \(body_0003.obj\)"):
+        write_obj_sequence(dressed_motion(bundle, motion[:3]), tmp_path)
+
+
 @pytest.mark.parametrize(
     ("form", "out", "found"),
     [("glb", "walk.glb", 1), ("usd", "walk.usdc", 1), ("pc2", "caches", 6), ("obj", "frames", 9)],

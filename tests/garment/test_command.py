@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import trimesh
 
 from caphy.cli import main
 from caphy.garment.template import Garment
@@ -30,9 +33,30 @@ def test_what_the_user_can_put_right_has_status_two_and_no_traceback(tmp_path, c
     assert "no such file" in capsys.readouterr().err
 
 
-def test_check_refuses_what_could_not_be_worn(tmp_path, capsys):
-    import trimesh
+def test_what_export_would_refuse_is_refused_at_once(tmp_path, capsys):
+    """Before 45 minutes of training."""
+    made = tmp_path / "shorts.npz"
+    assert main(["garment", "make", "shorts", "--edge-length", "0.04", "-o", str(made)]) == 0
+    garment = Garment.load(made)
+    mesh = tmp_path / "My Shorts.obj"
+    trimesh.Trimesh(garment.vertices, garment.faces, process=False).export(mesh)
+    command = ["garment", "from-mesh", str(mesh), "-o", str(tmp_path / "mine.npz")]
+    for more, says in (
+        ([], "letters, digits, - and _, 39 at most, and not body, got 'My Shorts'; give one with --name"),
+        (["--name", "mine", "--layer-thickness", "5"], "layer thickness must lie between 0 and 0.1 m, got 5 m"),
+        (["--name", "mine", "--layer-thickness", "-1"], "got -1 m"),
+    ):
+        assert main([*command, *more]) == 2
+        assert says in capsys.readouterr().err
+    assert main([*command, "--name", "mine"]) == 0
+    replace(garment, name="My Shorts").save(made)
+    assert main(["train", str(made), "-o", str(tmp_path / "run"), "--made-up", "1", "--steps", "1"]) == 2
+    assert "make it again with 'caphy garment from-mesh --name'" in capsys.readouterr().err
+    assert main(["garment", "info", str(mesh)]) == 2
+    assert "it is no npz" in capsys.readouterr().err
 
+
+def test_check_refuses_what_could_not_be_worn(tmp_path, capsys):
     made = tmp_path / "shorts.npz"
     assert main(["garment", "make", "shorts", "--edge-length", "0.04", "-o", str(made)]) == 0
     garment = Garment.load(made)
@@ -51,7 +75,8 @@ def test_check_refuses_what_could_not_be_worn(tmp_path, capsys):
         status = main(["garment", "check", str(tmp_path / f"{name}.obj")])
         captured = capsys.readouterr()
         said[name] = (status, captured.out + captured.err)
-    assert said["good"][0] == 0 and "usable as a garment" in said["good"][1]
+    assert said["good"][0] == 0 and "can be made a garment" in said["good"][1]
+    assert "moves with left_hip" in said["good"][1] or "moves with right_hip" in said["good"][1]
     assert said["turned"][0] == 2 and "flip normals" in said["turned"][1]
     assert said["far"][0] == 2 and "must lie on the body" in said["far"][1]
     assert said["thin"][0] == 2 and "must lie outside the body" in said["thin"][1]

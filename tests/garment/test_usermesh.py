@@ -49,7 +49,8 @@ def test_obj_with_negative_indices_and_normals(tmp_path):
     [
         ("v 0 0 0\nv 1 0\nf 1 2 2\n", "three coordinates"),
         ("v 0 0 0\nv 1 0 x\n", r"line 2: cannot be read as OBJ"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "refers to vertex 9, but there are only 3"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "refers to vertex 9, but there are 3"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "one before the first vertex, .* counted from 1"),
         ("v 0 0 0\n", "must contain faces"),
         ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "vertex 1 is not"),
     ],

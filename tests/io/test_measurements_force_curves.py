@@ -56,6 +56,8 @@ def test_a_strip_that_is_let_go_and_cells_that_are_empty(tmp_path):
         ("axial_strain,force_per_width_N_per_m\n0,0\n5,1\n20,2\n", "divide percent by 100"),
         ("axial_strain,force_per_width_N_per_m\n0,0\nx,1\n1,2\n", "line 3: axial_strain must be a number, got 'x'"),
         ("strain,force\n0,0\n", "needs the columns"),
+        ("axial_strain,axial_strain,force_per_width_N_per_m\n0,0,0\n", "'axial_strain' is there twice"),
+        ("axial_strain,transverse_strain,force_per_width_N_per_m\n0,0,0\n.1,-4,1\n.2,-8,2\n", "transverse.*got 8;"),
         ("axial_strain,force_per_width_N_per_m\n0,0\n1,1\n3.75,2\n", "divide percent by 100"),
         (
             "Direction,axial_strain,force_per_width_N_per_m\nwarp,0,0\nwarp,0.1,1\nwarp,0.2,2\n",

@@ -51,6 +51,12 @@ def test_equal_windows_all_decide_and_one_that_outweighs_the_others_decides_alon
     assert deciding(np.zeros(9)) == 0
 
 
+def test_one_window_alone_has_no_elsewhere():
+    """Nor where the number that was fitted is zero, so that none decides."""
+    (one,) = windows(0.0, 0)[:1]
+    assert where_few_decide(evidence([one], VARIANCE), [one], VARIANCE, np.zeros(2)) is None
+
+
 def test_where_all_windows_are_few_there_is_no_elsewhere():
     places = {"everywhere": [0], "there": [1]}
     known = evidence(windows(0.0, 0), VARIANCE)

@@ -14,6 +14,7 @@ from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve, read_force_curves
 from caphy.kept import Kept
 from caphy.tensile import diagnose_curves, refit_curves
+from caphy.tensile.between import TOO_FEW
 from caphy.tensile.report import write
 from caphy.tensile.strip import Strip
 
@@ -194,6 +195,26 @@ def turned(column: np.ndarray) -> np.ndarray:
 def test_bad_input_is_refused_in_words(curves, message):
     with pytest.raises(CaphyError, match=message):
         diagnose_curves(model(), curves)
+
+
+def let_go(curve: ForceCurve) -> ForceCurve:
+    """The same, and back to no load by a softer way."""
+    back = [each[-2::-1] for each in (curve.axial, curve.transverse, 0.8 * curve.force)]
+    there = [np.concatenate(pair) for pair in zip((curve.axial, curve.transverse, curve.force), back, strict=True)]
+    return ForceCurve(curve.fabric, curve.direction, curve.loading, *there)
+
+
+def test_unloading_is_left_out_and_that_is_said():
+    curves = measured(isotropic(), TOP)
+    answer = diagnose_curves(model(), [let_go(curves[0]), *curves[1:]])
+    assert answer.verdict == "nothing"
+    assert any(f"1 of {len(curves)} loadings: rows of unloading are left out" in said for said in answer.cautions)
+
+
+def test_too_few_loadings_for_what_the_first_one_does_are_told():
+    """Sixteen ways of exchanging the first of four loadings in two directions: one of them is one of twenty's."""
+    few, enough = (diagnose_curves(model(), measured(isotropic(), TOP, loadings=count)) for count in (4, 5))
+    assert TOO_FEW in few.cautions and TOO_FEW not in enough.cautions
 
 
 @pytest.mark.parametrize(("factor", "message"), [(-1.0, "positive in tension"), (1e6, "per metre of width")])

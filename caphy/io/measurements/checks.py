@@ -68,9 +68,9 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
 
 def _require_rate(measurement: Measurement) -> None:
     if measurement.fps < 2:
+        time = f"; if that is the time between frames [s], give {1 / measurement.fps:.4g}"
         raise measurement.error(
-            f"fps must be frames per second, got {measurement.fps:g}; if that is the time between frames [s], "
-            f"give {1 / measurement.fps:.4g}"
+            f"fps must be frames per second, 2 or more, got {measurement.fps:g}{time if measurement.fps <= 0.5 else ''}"
         )
     if measurement.fps > 2000:
         raise measurement.error(

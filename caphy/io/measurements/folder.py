@@ -137,7 +137,7 @@ def _description(folder: Path) -> dict[str, Any]:
         description = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # as editors of Windows write it
     except FileNotFoundError as error:
         raise CaphyError(f"{folder}: a measurement's folder needs a {DESCRIPTION} with at least: fps = 30") from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise CaphyError(f"{path}: cannot be read: {error}") from error
     unknown = sorted(set(description) - set(_KEYS))
     if unknown:

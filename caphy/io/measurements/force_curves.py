@@ -66,11 +66,13 @@ class ForceCurve:
             )
         if self.direction not in ("weft", "warp"):
             raise CaphyError(f"{where}: direction must be 'weft' or 'warp', got {self.direction!r}")
-        if max(np.abs(self.axial).max(), np.nanmax(np.abs(self.transverse), initial=0)) > _LONGEST:
-            raise CaphyError(
-                f"{where}: strains must be fractions (0.1 for 10 %), got {np.abs(self.axial).max():.3g}; divide "
-                "percent by 100; a strain is a length over the rest length, less one"
-            )
+        for name in ("axial", "transverse"):
+            most = float(np.nanmax(np.abs(columns[name]), initial=0))
+            if most > _LONGEST:
+                raise CaphyError(
+                    f"{where}: {name} strains must be fractions (0.1 for 10 %), got {most:.3g}; divide percent by 100; "
+                    "a strain is a length over the rest length, less one"
+                )
 
     @property
     def name(self) -> str:
@@ -100,6 +102,9 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
     names = list(rows[0][1])
     if set(KNIT_COLUMNS) <= set(names):
         return _knit_curves(rows, path)
+    header = [name for name in reader.fieldnames or () if name is not None]
+    if twice := next((name for name in header if header.count(name) > 1), None):
+        raise CaphyError(f"{path}: the column {twice!r} is there twice; leave one of them out")
     missing = [name for name in COLUMNS if name not in names and name != "transverse_strain"]
     if missing:
         got = ", ".join(name for name in names if name is not None)

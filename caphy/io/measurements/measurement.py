@@ -283,6 +283,7 @@ class Measurement:
                 f"pinned must hold some of the {count} vertices, and not all, got {len(self.pinned)}; leave pinned and "
                 "pinned_positions out where nothing is held"
             )
+        self._require_no_infinity()
         if len(self.seen_frames) == 0:
             raise self.error("no frame shows anything: all vertices are NaN or not visible")
         if self.attached is not None and not 0 <= self.attached.min() <= self.attached.max() <= 1:
@@ -292,6 +293,15 @@ class Measurement:
             )
         if self.noise is not None and (np.isnan(self.noise).all() or np.nanmin(self.noise) < 0):
             raise self.error("noise must be standard deviations in metres, not negative")
+
+    def _require_no_infinity(self) -> None:
+        """Of vertices; what was not seen is NaN."""
+        if self.vertices is None or not (infinite := np.isinf(self.vertices).any(axis=-1)).any():
+            return
+        frame, vertex = map(int, np.argwhere(infinite)[0])
+        raise self.error(
+            f"vertices must be finite, or NaN where they were not seen, got infinity in frame {frame}, vertex {vertex}"
+        )
 
     def _require_finite(self, name: str) -> None:
         value = getattr(self, name)
