@@ -24,9 +24,9 @@ _TURNS = 0.85  # step to the next frame over step to the one after: 0.5 on a str
 
 def check_cloth(scene: Scene) -> None:
     """Raises :class:`CaphyError` where a registered measurement cannot be of the scene's cloth in steady motion."""
-    vertices = scene.measurement.vertices
-    if vertices is None:
+    if not scene.measurement.registered:
         return
+    vertices = scene.measurement.seen_vertices
     where = scene.measurement.source or scene.measurement.name
     _check_edges(vertices, scene, where)
     _check_order(vertices, scene, where)

@@ -8,7 +8,7 @@ import numpy as np
 
 from caphy.io.measurements import Measurement
 from caphy.measure.covariates import Covariate, covariates
-from caphy.measure.errors import SurfaceErrors, VertexErrors, surface_errors, vertex_errors
+from caphy.measure.errors import Errors, SurfaceErrors, surface_errors, vertex_errors
 from caphy.measure.noise import measurement_noise, overstated
 from caphy.measure.prediction import Prediction
 from caphy.measure.sentences import sentences
@@ -22,19 +22,23 @@ APART = 5
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Figures (JSON) and the fields they come from."""
+    """Figures (JSON) and the fields they come from.
+
+    ``errors`` are those of the vertices, to be looked at; of clouds they are means of the points around each, with less
+    noise than the points have whose distances the figures are of.
+    """
 
     figures: dict
     prediction: Prediction
     measurement: Measurement
-    errors: VertexErrors
+    errors: Errors
     regions: np.ndarray
 
 
 def compare(prediction: Prediction, measurement: Measurement, names: np.ndarray | None = None) -> Comparison:
     """Compare what a model predicts with what was measured; ``names`` (V,) are the regions of the model's mesh."""
     surface = surface_errors(prediction, measurement)
-    errors = vertex_errors(prediction, measurement) if prediction.registered else _as_vertex_errors(surface)
+    errors = vertex_errors(prediction, measurement) if prediction.registered else surface.of_points
     regions = region_names(prediction, names)
     found = covariates(prediction, measurement)
     figures = {
@@ -49,7 +53,8 @@ def compare(prediction: Prediction, measurement: Measurement, names: np.ndarray 
         "moments": _moments(prediction, measurement, errors, regions),
     }
     figures["sentences"] = sentences(figures)
-    return Comparison(figures, prediction, measurement, errors, regions)
+    shown = errors if prediction.registered else surface.of_vertices
+    return Comparison(figures, prediction, measurement, shown, regions)
 
 
 def region_names(prediction: Prediction, names: np.ndarray | None) -> np.ndarray:
@@ -59,12 +64,6 @@ def region_names(prediction: Prediction, names: np.ndarray | None) -> np.ndarray
     height = prediction.vertices[..., 1].mean(axis=0)
     third = np.searchsorted(np.quantile(height, (1 / 3, 2 / 3)), height)
     return np.array(["lower third", "middle third", "upper third"])[third]
-
-
-def _as_vertex_errors(surface: SurfaceErrors) -> VertexErrors:
-    """Distances to the surface where vertices cannot be matched; their other parts are unknown."""
-    unknown = np.full_like(surface.vertex, np.nan)
-    return VertexErrors(np.abs(surface.vertex), -surface.vertex, unknown, unknown)
 
 
 def _about(measurement: Measurement) -> dict:
@@ -92,7 +91,7 @@ def _prediction(prediction: Prediction) -> dict:
     }
 
 
-def _overall(errors: VertexErrors, surface: SurfaceErrors, prediction: Prediction) -> dict:
+def _overall(errors: Errors, surface: SurfaceErrors, prediction: Prediction) -> dict:
     signed = np.concatenate(surface.signed)
     return {
         **summary(errors.distance),
@@ -111,10 +110,11 @@ def _overall(errors: VertexErrors, surface: SurfaceErrors, prediction: Predictio
 def _median_interval(distance: np.ndarray, window: np.ndarray) -> tuple[float, float] | None:
     if len(np.unique(window)) < 4 or not np.isfinite(distance).any():
         return None
-    return interval(lambda rows: MILLI * float(np.nanmedian(distance[rows])), window)
+    found = [row[np.isfinite(row)] for row in distance]
+    return interval(lambda rows: MILLI * float(np.median(np.concatenate([found[row] for row in rows]))), window)
 
 
-def _floor(prediction: Prediction, measurement: Measurement, errors: VertexErrors) -> dict:
+def _floor(prediction: Prediction, measurement: Measurement, errors: Errors) -> dict:
     """What noise, time step, mesh and restarts explain of the median, and what they leave, in quadrature."""
     noise = measurement_noise(measurement)
     step = None if prediction.step_error is None else summary(prediction.step_error)["median_mm"]
@@ -137,7 +137,7 @@ def _floor(prediction: Prediction, measurement: Measurement, errors: VertexError
     }
 
 
-def _by_frame(prediction: Prediction, errors: VertexErrors, surface: SurfaceErrors) -> dict:
+def _by_frame(prediction: Prediction, errors: Errors, surface: SurfaceErrors) -> dict:
     rows = [summary(row) for row in errors.distance]
     return {
         "frame": prediction.frames.tolist(),
@@ -148,25 +148,25 @@ def _by_frame(prediction: Prediction, errors: VertexErrors, surface: SurfaceErro
     }
 
 
-def _by_lag(prediction: Prediction, errors: VertexErrors) -> list[dict]:
+def _by_lag(prediction: Prediction, errors: Errors) -> list[dict]:
     if prediction.lag is None:
         return []
     return [{"lag": int(k), **summary(errors.distance[prediction.lag == k])} for k in np.unique(prediction.lag)]
 
 
-def _by_region(prediction: Prediction, errors: VertexErrors, regions: np.ndarray) -> list[dict]:
+def _by_region(prediction: Prediction, errors: Errors, regions: np.ndarray) -> list[dict]:
     """Regions from the worst to the best."""
     rows = []
     for name in np.unique(regions):
-        part = regions == name
-        down = errors.down[:, part]
+        part = (regions == name)[errors.vertex]
+        distance, down = (np.where(part, values, np.nan) for values in (errors.distance, errors.down))
         rows.append(
             {
                 "region": str(name),
-                **summary(errors.distance[:, part]),
-                "interval_mm": _median_interval(errors.distance[:, part], prediction.window),
-                "normal_mm": mean_mm(errors.normal[:, part]),
-                "along_mm": summary(errors.along[:, part])["median_mm"],
+                **summary(distance),
+                "interval_mm": _median_interval(distance, prediction.window),
+                "normal_mm": mean_mm(errors.normal[part]),
+                "along_mm": summary(errors.along[part])["median_mm"],
                 "down_mm": mean_mm(down),
                 "down_interval_mm": _mean_interval(down, prediction.window),
             }
@@ -181,21 +181,27 @@ def _mean_interval(values: np.ndarray, window: np.ndarray) -> tuple[float, float
     return interval(lambda rows: MILLI * float(total[rows].sum() / max(count[rows].sum(), 1)), window)
 
 
-def _by_covariate(covariate: Covariate, errors: VertexErrors, prediction: Prediction) -> dict:
+def _by_covariate(covariate: Covariate, errors: Errors, prediction: Prediction) -> dict:
+    values = covariate.values
+    if values.shape[1] > 1:
+        values = np.take_along_axis(np.broadcast_to(values, prediction.vertices.shape[:2]), errors.vertex, axis=1)
     return {
         "name": covariate.name,
         "unit": covariate.unit,
         "when": covariate.when,
-        "bins": binned(covariate.values, errors.distance),
-        "contrast": contrast(covariate.values, errors.distance, prediction.window),
+        "bins": binned(values, errors.distance),
+        "contrast": contrast(values, errors.distance, prediction.window),
     }
 
 
-def _moments(prediction: Prediction, measurement: Measurement, errors: VertexErrors, regions: np.ndarray) -> list[dict]:
+def _moments(prediction: Prediction, measurement: Measurement, errors: Errors, regions: np.ndarray) -> list[dict]:
     """The worst pairs of frame and region, apart in time, the worst first."""
     names = np.unique(regions)
-    parts = [errors.distance[:, regions == name] for name in names]
-    table = np.stack([[summary(row)["median_mm"] or 0.0 for row in part] for part in parts], axis=1)  # (N, R)
+    parts = [(regions == name)[errors.vertex] for name in names]
+    medians = [
+        [summary(row[at])["median_mm"] or 0.0 for row, at in zip(errors.distance, part, strict=True)] for part in parts
+    ]
+    table = np.stack(medians, axis=1)  # (N, R)
     found: list[dict] = []
     for place in np.argsort(-table, axis=None):
         row, region = np.unravel_index(place, table.shape)
@@ -203,7 +209,7 @@ def _moments(prediction: Prediction, measurement: Measurement, errors: VertexErr
         if table[row, region] == 0 or len(found) == WORST:
             break
         if all(abs(frame - other["frame"]) >= APART for other in found):
-            part = regions == names[region]
+            part = parts[region][row]
             found.append(
                 {
                     "frame": frame,

@@ -16,7 +16,7 @@ from caphy.io.measurements import Measurement
 from caphy.measure.finer import FinerMesh
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
-from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, roll_out, window_starts
+from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, across, roll_out, window_starts
 from caphy.solve.integrators import State
 from caphy.solve.rollout import Simulator
 
@@ -36,6 +36,8 @@ Progress = Callable[[str, int, int], None]
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Model positions row by row; a row is one frame of the measurement.
+
+    Errors of solver and restarts are told as the model is measured: of clouds, across the cloth.
 
     Attributes:
         frames: frame of each row, rising, (N,).
@@ -142,7 +144,8 @@ class Windows:
         if frame in self.checked:
             slow = roll_out(self.scene, self._simulator, state, frame, length=until, substeps=FINER * SUBSTEPS)
             finer, fine = self._finer
-            for place, change in enumerate((slow.positions - run.positions, finer.difference(fine, state, run))):
+            for place, moved in enumerate((slow.positions - run.positions, finer.difference(fine, state, run))):
+                change = _measured(self.scene, run.positions, moved)
                 errors[place] = _share_seen(self.scene.measurement, run, change) * np.linalg.norm(change, axis=-1)
             again = _restarted(self.scene, self._potential, self._simulator, state, frame, until, self._sigma)
             errors[2, : len(again)] = again
@@ -191,6 +194,11 @@ def _lacking(model: Model) -> tuple[str, ...]:
     return (f"the model has no {' and no '.join(missing)}; caphy effects show {missing[0]}",) if missing else ()
 
 
+def _measured(scene: Scene, positions: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """What of a change (n, V, 3) [m] of a cloth at positions (n, V, 3) [m] is measured: of clouds the part across."""
+    return across(change[:, None], positions, scene.garment.faces)[:, 0] if scene.slides else change
+
+
 def _share_seen(measurement: Measurement, run: WindowRun, change: np.ndarray) -> float:
     """Least-squares amount in [0, 1] of what a finer step or mesh changes (n + 1, V, 3) in the errors of a window.
 
@@ -219,7 +227,8 @@ def _restarted(
     if not starts.possible(begin):
         return np.full((0, len(scene.garment.vertices)), np.nan)
     again = roll_out(scene, simulator, starts.state(begin), begin, length=length)
-    return np.linalg.norm(again.positions - truth.positions[RUN_UP : RUN_UP + len(again.positions)], axis=-1)
+    true = truth.positions[RUN_UP : RUN_UP + len(again.positions)]
+    return np.linalg.norm(_measured(scene, true, again.positions - true), axis=-1)
 
 
 def _joined(scene: Scene, windows: Sequence[Window]) -> Prediction:

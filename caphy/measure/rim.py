@@ -113,18 +113,19 @@ def reached(gap: np.ndarray, noise: float) -> np.ndarray:
     """
     if noise == 0:
         return -gap
-    ratio, mean = _outermost()
-    return noise * np.interp(np.log(np.maximum(gap, 1e-12) / noise), ratio, mean)
+    ratio, carried = _carried()
+    return noise * np.interp(np.log(np.maximum(gap, 1e-12) / noise), ratio, carried) - gap
 
 
 @cache
-def _outermost() -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of gaps over noise, and the mean place of the outermost point over the noise for each."""
+def _carried() -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of gaps over noise, and how far noise carries the outermost point further out, over the noise.
+
+    It falls to nothing where gaps are wide, so that beyond the last the answer is that without noise.
+    """
     from scipy.stats import norm
 
-    ratio, mean = np.geomspace(1e-3, 1e4, 400), []
-    for gap in ratio:
-        u = np.concatenate([np.linspace(-40 * gap - 8, -8, 2000)[:-1], np.linspace(-8, 8, 4001)])
-        none = np.exp(-(norm.pdf(u) - u * norm.sf(u)) / gap)  # that no point lies beyond u
-        mean.append(np.trapezoid((u > 0) - none, u))
-    return np.log(ratio), np.array(mean)
+    ratio, u = np.geomspace(1e-3, 1e4, 400), np.linspace(-8, 8, 4001)
+    none = np.exp(-(norm.pdf(u) - u * norm.sf(u)) / ratio[:, None])  # that no point lies beyond u
+    without_noise = 8 - ratio * np.expm1(-8 / ratio)  # the same, summed over u
+    return np.log(ratio), without_noise - np.trapezoid(none, u, axis=1)

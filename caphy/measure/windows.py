@@ -22,6 +22,7 @@ from caphy.effects.vectors import dot, isotropic
 from caphy.errors import CaphyError
 from caphy.measure.local_fit import local_quadratic
 from caphy.measure.scene import Scene
+from caphy.report.render import vertex_normals
 from caphy.solve.integrators import State
 from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
@@ -206,3 +207,12 @@ def roll_out(
         positions.append(state.x.numpy())
         converged.append(all(report.converged for report in reports))
     return WindowRun(frame, np.stack(positions), np.array(converged))
+
+
+def across(fields: np.ndarray, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The parts of fields (L, N, V, 3) across a cloth at positions (L, V, 3) [m].
+
+    What lies along it a cloud does not show: the model that helped to register it put it there.
+    """
+    normal = np.stack([vertex_normals(x, faces) for x in positions])[:, None]
+    return (fields * normal).sum(-1, keepdims=True) * normal

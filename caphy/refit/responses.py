@@ -17,11 +17,20 @@ from caphy.measure.finer import FinerMesh
 from caphy.measure.noise import measurement_noise
 from caphy.measure.rim import Rim
 from caphy.measure.scene import Scene
-from caphy.measure.windows import LENGTH, SUBSTEPS, TOLERANCE, StartStates, WindowRun, filled, roll_out, window_starts
+from caphy.measure.windows import (
+    LENGTH,
+    SUBSTEPS,
+    TOLERANCE,
+    StartStates,
+    WindowRun,
+    across,
+    filled,
+    roll_out,
+    window_starts,
+)
 from caphy.refit.columns import Column, extended, moved
 from caphy.refit.modes import Projection, laplacian_modes, rim_modes
 from caphy.refit.tangents import Pushes, Start, Tangents, recorded_simulator
-from caphy.report.render import vertex_normals
 from caphy.solve.integrators import SDIRK2, State
 from caphy.solve.newton import Newton
 from caphy.solve.rollout import Simulator
@@ -263,7 +272,7 @@ class Watched:
         shape = (self.projection.modes.shape[1], 3, fields.shape[1])
         at_rim = self._at_rim(frames, run.positions[1:], fields) if self.scene.slides else None
         if at_rim is not None:
-            fields = _across(fields, run.positions[1:], self.scene.garment.faces)
+            fields = across(fields, run.positions[1:], self.scene.garment.faces)
             away = fields[:, 0]
         enough = seen.mean(axis=1) >= ENOUGH
         modal = np.stack(
@@ -293,15 +302,6 @@ class Watched:
         across[:, 0] = ((self.scene.ends[frames] - middle) * out).sum(-1)
         modal = [self._rim_projection.of(f.T, self.rim.enough(np.isfinite(f[0]), ENOUGH)) for f in across]
         return np.stack(modal).reshape(len(fields), -1, 3, fields.shape[1])
-
-
-def _across(fields: np.ndarray, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The parts of fields (L, N, V, 3) across a cloth at positions (L, V, 3) [m].
-
-    What lies along it a cloud does not show: the model that helped to register it put it there.
-    """
-    normal = np.stack([vertex_normals(x, faces) for x in positions])[:, None]
-    return (fields * normal).sum(-1, keepdims=True) * normal
 
 
 def _simulator(scene: Scene, model: Model) -> Simulator:

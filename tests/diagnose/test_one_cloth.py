@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from caphy.diagnose.checks import require_one_cloth
+from caphy.diagnose.checks import check_cloth, require_one_cloth
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
@@ -68,3 +68,28 @@ def test_meshes_that_are_no_cloth_are_told_with_their_file(faces):
     broken = replace(given, faces=np.concatenate([given.faces, faces]), source="bad.npz")
     with pytest.raises(CaphyError, match=r"bad\.npz: faces must be an oriented manifold"):
         Scene.of(broken)
+
+
+def carried(along: np.ndarray) -> Measurement:
+    """The sheet in frames (T,) at places along x [m], held by one corner."""
+    moved = square(5)[0] + along[:, None, None] * [1.0, 0, 0]
+    return replace(sheet(), vertices=moved, pinned=[0], pinned_positions=moved[:, :1])
+
+
+def test_what_visibility_hides_is_looked_at_by_none():
+    one = carried(np.linspace(0, 2, 40))
+    hidden = np.random.default_rng(0).random(one.vertices.shape[:2]) < 0.15
+    for written in (np.nan, 0.0, -9999.0):
+        filled = np.where(hidden[..., None], written, one.vertices)
+        check_cloth(Scene.of(replace(one, vertices=filled, visibility=~hidden)))
+
+
+def test_the_order_of_frames_is_that_of_what_was_seen():
+    steady = np.linspace(0, 2, 40)
+    shuffled = carried(np.random.default_rng(0).permutation(steady))
+    with pytest.raises(CaphyError, match="put the frames in order of time"):
+        check_cloth(Scene.of(shuffled))
+    seen = np.tile(np.arange(25) < 10, (40, 1))  # a minority; the rest is written in order
+    half = np.where(seen[..., None], shuffled.vertices, carried(steady).vertices)
+    with pytest.raises(CaphyError, match="put the frames in order of time"):
+        check_cloth(Scene.of(replace(shuffled, vertices=half, visibility=seen)))

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.distance import cdist
+from scipy.stats import foldnorm
 
 from caphy.io.measurements import Measurement
+from caphy.measure import errors as metrics
+from caphy.measure.comparison import Comparison, compare
 from caphy.measure.errors import surface_errors, vertex_errors
 from caphy.measure.prediction import Prediction
 
@@ -84,3 +87,67 @@ def test_points_are_gathered_at_their_nearest_vertex():
     assert surface.vertex[0, 0] == pytest.approx(0.02)
     assert surface.vertex[0, 24] == pytest.approx(-0.02)
     assert np.isfinite(surface.vertex).sum() == 2
+
+
+def compared(off: float, points: int = 2000, sag: float = 0.0) -> Comparison:
+    """A sheet that the model has ``off`` [m] beside points with 1 mm of noise, and ``sag`` [m] more on its right."""
+    (rest, faces), random = sheet(), np.random.default_rng(0)
+    frames = 16
+    clouds = random.uniform(0.02, 0.38, (frames * points, 3)) * [1, 1, 0]
+    clouds += random.normal(0, 1e-3, clouds.shape)
+    clouds[:, 2] -= np.where(clouds[:, 0] > 0.25, sag, 0.0)
+    offsets = points * np.arange(frames + 1)
+    model = np.tile(rest + np.array([0, 0, off]), (frames, 1, 1))
+    rows = np.arange(frames)
+    prediction = Prediction(rows, model, faces, False, rows % 4 + 1, rows // 4, np.ones(frames, bool))
+    measurement = Measurement("m", 30.0, points=clouds, offsets=offsets, noise_mm=1.0)
+    return compare(prediction, measurement, np.where(rest[:, 0] > 0.25, "right", "left"))
+
+
+@pytest.mark.parametrize("off", [0.0, 0.6, 3.0])
+def test_figures_of_clouds_are_of_their_points(off: float):
+    """Distances of single points hold their noise, of which the floor tells as much."""
+    figures = compared(1e-3 * off).figures
+    error, floor = figures["error"], figures["floor"]
+    median, far = foldnorm.ppf((0.5, 0.95), off)
+    assert error["median_mm"] == pytest.approx(median, abs=0.03)
+    assert error["p95_mm"] == pytest.approx(far, abs=0.05)
+    assert error["median_mm"] == error["surface_median_mm"] == error["normal_median_mm"]
+    assert error["interval_mm"][0] <= error["median_mm"] <= error["interval_mm"][1]
+    assert floor["unexplained_mm"] == pytest.approx(max(median**2 - 0.6745**2, 0) ** 0.5, abs=0.15)
+    parts = [*figures["by_region"], *figures["by_lag"], *figures["by_covariate"][0]["bins"]]
+    assert [row["median_mm"] for row in parts] == pytest.approx([median] * len(parts), abs=0.08)
+    assert figures["by_frame"]["median_mm"] == pytest.approx([median] * 16, abs=0.1)
+    assert figures["moments"][0]["median_mm"] == pytest.approx(median, abs=0.15)
+    for rows in (figures["by_region"], figures["by_lag"], figures["by_covariate"][0]["bins"]):
+        assert sum(row["count"] for row in rows) == error["count"] == 32000
+
+
+def test_a_point_counts_where_the_vertex_nearest_to_it_does():
+    right, left = compared(0.0, sag=5e-3).figures["by_region"]
+    assert (right["region"], left["region"]) == ("right", "left")
+    assert right["median_mm"] == pytest.approx(foldnorm.median(5.0), abs=0.05)
+    assert right["normal_mm"] == pytest.approx(5.0, abs=0.05)
+    assert left["median_mm"] == pytest.approx(foldnorm.median(0.0), abs=0.05)
+
+
+def test_the_map_of_a_cloud_shows_means():
+    shown = compared(0.6e-3).errors
+    assert shown.distance.shape == (16, 25)
+    assert np.nanmedian(shown.distance) == pytest.approx(0.6e-3, abs=0.1e-3)
+
+
+def test_of_dense_clouds_some_points_are_enough(monkeypatch):
+    monkeypatch.setattr(metrics, "MOST", 500)
+    error = compared(3e-3).figures["error"]
+    assert error["count"] == 16 * 500
+    assert error["median_mm"] == pytest.approx(foldnorm.median(3.0), abs=0.1)
+
+
+def test_rows_without_points_count_nowhere():
+    rest, faces = sheet()
+    points = np.array([[0.1, 0.1, 0.002], [0.3, 0.3, 0.004], [0.2, 0.1, 0.006]])
+    measurement = Measurement("m", 30.0, points=points, offsets=np.array([0, 2, 2, 3]))
+    figures = compare(predicted(np.tile(rest, (3, 1, 1)), faces, False), measurement).figures
+    assert figures["error"]["count"] == 3
+    assert figures["by_frame"]["median_mm"] == [pytest.approx(3.0), None, pytest.approx(6.0)]

@@ -74,6 +74,12 @@ def test_how_far_the_outermost_point_reaches(gap: float):
     assert reached(np.array([gap]), noise)[0] == pytest.approx(np.mean(outermost), abs=3 * error)
 
 
+def test_noise_that_is_next_to_none_moves_no_end():
+    gap = np.array([1e-4, 4e-3])
+    for noise in (1e-6, 1e-7, 1e-9, 1e-12):
+        np.testing.assert_allclose(reached(gap, noise), reached(gap, 0.0), rtol=0, atol=0.01 * noise)
+
+
 def test_the_rim_faces_out_of_the_cloth():
     cloth = users_square()
     rim = Rim.of(cloth.vertices, cloth.faces)

@@ -48,3 +48,13 @@ def test_it_is_the_same_whichever_way_rows_run():
     turned = [replace(c, axial=c.axial[::-1], transverse=c.transverse[::-1], force=c.force[::-1]) for c in curves]
     said, again = (curve_sentences([compare_curve(stvk(20.9, 11.1), c) for c in each]) for each in (curves, turned))
     assert said == again and "Weft and warp differ" in said[-1]
+
+
+@pytest.mark.parametrize("mass", ["extra_mass", "heavy_hem"])
+def test_weight_does_not_pull_the_strip(mass):
+    axial = np.linspace(0, 0.2, 3)
+    heavy = stvk(20.9, 11.1).with_effect(mass)
+    for direction in ("weft", "warp"):
+        said, light = (model_curve(model, axial, direction) for model in (heavy, stvk(20.9, 11.1)))
+        np.testing.assert_allclose(said.force, light.force, rtol=1e-12)
+        np.testing.assert_allclose(said.transverse, light.transverse, rtol=1e-12)

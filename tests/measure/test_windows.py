@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from explicit_cloth import measured, simulate
+from explicit_cloth import measured, normals, simulate
 
 from caphy.commands import compare as command
 from caphy.commands.compare import load_model, main
@@ -17,6 +17,7 @@ from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement, write_measurement
 from caphy.measure import prediction
 from caphy.measure.comparison import compare
+from caphy.measure.finer import FinerMesh
 from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
 from caphy.measure.windows import StartStates, filled, window_starts
@@ -76,6 +77,34 @@ def test_a_finer_step_explains_as_much_as_the_measurement_shows(plain, monkeypat
     monkeypatch.setattr(windows, "scene", replace(windows.scene, measurement=replace(plain, vertices=vertices)))
     told = windows.told(frame).step_error
     np.testing.assert_allclose(told, part * np.linalg.norm(change[1:], axis=-1), atol=1e-6)
+
+
+def test_of_clouds_what_is_not_the_models_is_told_across_the_cloth(plain, monkeypatch):
+    """As their points' distances are: what they are measured by, and what explains it, must be of one kind."""
+    rolled, made = prediction.roll_out, []
+    of_mesh = np.random.default_rng(0).normal(0, 0.02, (9, len(plain.rest_vertices), 3))
+
+    def roll_out(*given, **more):
+        made.append(rolled(*given, **more))
+        return made[-1]
+
+    monkeypatch.setattr(prediction, "roll_out", roll_out)
+    monkeypatch.setattr(FinerMesh, "difference", lambda *_: of_mesh)
+    scene = Scene.of(plain)
+    windows = prediction.Windows(replace(scene, ends=np.full((len(plain), 1, 3), np.nan)), MODEL)
+    frame = windows.frames[0]
+    told = windows.told(frame)
+    run, slow, truth, again = (each.positions for each in made)
+    away = plain.vertices[frame : frame + 9] - run
+    for found, change in ((told.step_error, slow - run), (told.mesh_error, of_mesh)):
+        normal = normals(run, plain.faces)
+        across = (change * normal).sum(-1)
+        share = np.clip(((away * normal).sum(-1) * across).sum() / (across**2).sum(), 0, 1)
+        np.testing.assert_allclose(found, share * np.abs(across)[1:], atol=1e-9)
+    truth = truth[prediction.RUN_UP :]
+    restarted = np.abs(((again - truth) * normals(truth, plain.faces)).sum(-1))
+    np.testing.assert_allclose(told.start_error, restarted[1:], atol=1e-9)
+    assert np.median(restarted) < 0.8 * np.median(np.linalg.norm(again - truth, axis=-1))
 
 
 def test_the_right_model_is_told_from_one_that_lacks_an_effect(plain, dragged):
