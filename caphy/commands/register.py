@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from caphy.garment.families import Family
     from caphy.garment.template import Garment
     from caphy.register.articulation import Figure, Placement
+    from caphy.register.chamfer import Target
+    from caphy.register.cloud import Cloud
     from caphy.register.fit import BodyFit, Taken
     from caphy.register.template import Choice
     from caphy.scan.scan import Scan
@@ -214,19 +216,12 @@ def _garment(
     """Choose a garment, write it, and tell what was chosen; what a run that was stopped had found is not done again."""
     from dataclasses import asdict
 
-    from caphy.register.chamfer import Target
-    from caphy.register.cloud import Cloud
     from caphy.register.eases import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
-    from caphy.register.template import COMPARED, choose, plainest
+    from caphy.register.template import COMPARED, choose
 
-    shown = _shown(command.output, fit.names)
-    chosen = [shown[i] for i in plainest([fit.placements[i] for i in shown])]
+    chosen, clouds, targets = _targets(fit, _shown(command.output, fit.names), scans, kind)
     names = [fit.names[i] for i in chosen]
-    clouds = [Cloud.of(scans[scans.names.index(name)]) for name in names]
-    targets = [
-        Target.of(cloud, fit.figure.placed(fit.placements[i]), kind) for cloud, i in zip(clouds, chosen, strict=True)
-    ]
     basis, path = command.upper_basis if kind == "upper" else command.lower_basis, command.output / f"{kind}.npz"
     given = kind, command.body, (command.output / "body.npz").read_bytes(), names, clouds
     whole = kept.key("garment", given, model.to_json(), None if basis is None else basis.read_bytes())
@@ -253,6 +248,37 @@ def _garment(
     told = {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
     kept.keep(whole, {"told": np.array(json.dumps(told)), "digest": np.array(digest(path.read_bytes()))})
     return told
+
+
+def _targets(
+    fit: BodyFit, shown: Sequence[int], scans: ScanSet, kind: str
+) -> tuple[list[int], list[Cloud], list[Target]]:
+    """Of the scans ``shown`` the plainest that show a garment, by their numbers; what lacks it is named.
+
+    Raises:
+        CaphyError: none shows it.
+    """
+    from caphy.register.chamfer import Target
+    from caphy.register.cloud import Cloud
+    from caphy.register.template import SCANS, plainest
+
+    chosen, clouds, targets, lacking = [], [], [], []
+    for i in plainest([fit.placements[i] for i in shown], len(shown)):
+        number = shown[i]
+        cloud = Cloud.of(scans[scans.names.index(fit.names[number])])
+        try:
+            targets.append(Target.of(cloud, fit.figure.placed(fit.placements[number]), kind))
+        except CaphyError as error:
+            lacking.append(str(error))
+            print(f"left out: {error}")
+            continue
+        chosen.append(number)
+        clouds.append(cloud)
+        if len(chosen) == SCANS:
+            break
+    if not chosen:
+        raise CaphyError("\n".join([f"no scan shows the {kind} garment:", *lacking]))
+    return chosen, clouds, targets
 
 
 def _shown(run: Path, names: Sequence[str]) -> list[int]:
