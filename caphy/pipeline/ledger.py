@@ -34,19 +34,20 @@ class Ledger:
     def entry(self, stage: Stage) -> Entry | None:
         """What is known of a stage."""
         try:
-            return Entry(**json.loads(self._record(stage).read_text(encoding="utf-8")))
+            return Entry(**json.loads(self.record(stage).read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
             return None
 
     def write(self, stage: Stage, entry: Entry) -> None:
         """Remember a stage, whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self._record(stage)
+        path = self.record(stage)
         partial = path.with_name(path.name + ".partial")
         partial.write_text(json.dumps(asdict(entry), indent=1), encoding="utf-8")
         partial.replace(path)
 
-    def _record(self, stage: Stage) -> Path:
+    def record(self, stage: Stage) -> Path:
+        """The file of its entry."""
         return self.folder / f"{stage.name}.json"
 
     def log(self, stage: Stage) -> Path:
@@ -69,7 +70,7 @@ class Ledger:
             CaphyError: something is in the place of an output, of which no stage of this run is known to have made it.
         """
         key, entry = stage.key(), self.entry(stage)
-        unknown = not self._record(stage).exists()
+        unknown = not self.record(stage).exists()
         for path in stage.outputs:
             if unknown and (path.exists() or path.is_symlink()):
                 raise CaphyError(
