@@ -77,7 +77,9 @@ class Ledger:
                     f"{path}: is there already and not of this run, so it is left alone; move it away, or give another "
                     "folder for the run"
                 )
-            if entry is None or entry.key != key:
+        if entry is None or entry.key != key:
+            self.write(stage, Entry("", finished=False))  # killed meanwhile, what is left of them counts for nothing
+            for path in stage.outputs:
                 _remove(path)
         self.write(stage, Entry(key, finished=False))
 

@@ -121,6 +121,22 @@ def test_a_stopped_stage_starts_anew_if_its_input_changed_meanwhile(work):
     assert (work.folder / "letters" / "0.txt").read_text() == "x"
 
 
+def test_killed_while_former_outputs_go_what_is_left_of_them_does_not_count(work, monkeypatch):
+    work.run()
+
+    def killed(path: Path) -> None:
+        (path / "0.txt").unlink()
+        raise KeyboardInterrupt
+
+    work.big = True
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("caphy.pipeline.ledger._remove", killed)
+        work.run()
+    work.big = False
+    assert work.run()[0].done[0] == "letters"
+    assert sorted(path.read_text() for path in (work.folder / "letters").iterdir()) == ["a", "b", "c"]
+
+
 def test_a_damaged_record_counts_as_none(work):
     work.run()
     (work.folder / "stages" / "letters.json").write_text('{"key": ')
