@@ -14,7 +14,7 @@ from dressed_scans import GARMENTS, disturbed, subject, visible
 from caphy.body.bundled import default_body
 from caphy.challenge.sheets import users_square
 from caphy.cli import main
-from caphy.commands.register import _garment, _hung
+from caphy.commands.register import _garment, _hung, _shown
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.families import Tshirt
@@ -137,15 +137,24 @@ def test_templates_are_chosen_by_the_scans_that_show_them(tmp_path, capsys, monk
     monkeypatch.setattr("caphy.register.template.choose", choose)
     monkeypatch.setattr("caphy.commands.register._hung", lambda *_: (Tshirt(), users_square(5)))
     (tmp_path / "body.npz").write_bytes(b"fit")
-    (tmp_path / "split.json").write_text(json.dumps({"train": names, "held_out": []}))
     command = SimpleNamespace(output=tmp_path, body="medium", upper_basis=None, lower_basis=None)
     fit = SimpleNamespace(names=names, placements=plain_poses()[:3], figure=SimpleNamespace(placed=lambda _: None))
-    told = _garment(command, fit, scans, "lower", Model(0.2), Kept())
+    told = _garment(command, fit, range(3), scans, "lower", Model(0.2), Kept())
     assert sorted(seen) == ["scan0", "scan2"] and sorted(told["scans"]) == ["scan0", "scan2"]
     assert "left out: scan1: has no points labelled lower" in capsys.readouterr().out
     scans[:] = [clouds[1]] * 3
     with pytest.raises(CaphyError, match=r"no scan shows the lower garment:\n.*has no points labelled lower"):
-        _garment(command, fit, scans, "lower", Model(0.2), Kept())
+        _garment(command, fit, range(3), scans, "lower", Model(0.2), Kept())
+
+
+def test_templates_are_not_chosen_by_what_is_held_out(tmp_path, capsys):
+    """Where nothing is held out yet, it is said that all choose."""
+    assert _shown(tmp_path, ("a", "b", "c")) == [0, 1, 2]
+    assert "note: " in (told := capsys.readouterr().out) and "caphy register points" in told
+    (tmp_path / "split.json").write_text(json.dumps({"train": ["b", "d"], "held_out": ["a"]}))
+    assert _shown(tmp_path, ("a", "b", "c")) == [1] and not capsys.readouterr().out
+    with pytest.raises(CaphyError, match=r"split\.json: names none of the scans of the body fit to train on"):
+        _shown(tmp_path, ("a", "c"))
 
 
 def test_nothing_to_fit_is_an_error_in_words(folder, tmp_path, capsys):
