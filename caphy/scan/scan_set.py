@@ -53,10 +53,14 @@ class ScanSet:
     """Folder of ``NAME.npy`` with one number per vertex, or none."""
     label_numbers: Mapping[int, int] | None = None
     """What the labels' numbers mean, to :data:`caphy.scan.scan.LABEL_NAMES`; none if they are ours already."""
+    labels_alone: bool = False
+    """Whether a scan without labels there has none, whatever its mesh carries."""
 
     @classmethod
     def read(cls, folder: str | Path, labels: Path | None = None) -> ScanSet:
         """The set in a folder with a ``scans.toml``; ``labels`` is a folder of them to use instead of its own.
+
+        A scan that has none there has none: 'caphy fit' leaves out scans so.
 
         Raises:
             CaphyError: the description is missing, damaged or says something unknown, or there are no scans.
@@ -77,6 +81,7 @@ class ScanSet:
             poses=_poses(folder, given, files),
             labels=labels or (own if own.is_dir() else None),
             label_numbers=None if labels else _numbers(folder, given.get("label_numbers")),
+            labels_alone=labels is not None,
         )
 
     @property
@@ -108,7 +113,7 @@ class ScanSet:
 
     def _labels(self, path: Path, mesh: MeshFile) -> np.ndarray | None:
         beside = None if self.labels is None else self.labels / f"{path.stem}.npy"
-        numbers, where = mesh.label, path
+        numbers, where = None if self.labels_alone else mesh.label, path
         if beside is not None and beside.is_file():
             numbers, where = read_labels(beside), beside
         if numbers is None:
