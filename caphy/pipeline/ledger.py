@@ -23,6 +23,8 @@ class Entry:
     seconds: float = 0.0
     """What it took, from its last start."""
     failure: str | None = None
+    code: str = ""
+    """Digest of the code of caphy that finished it."""
 
 
 class Ledger:

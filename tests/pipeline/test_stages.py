@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -67,6 +68,15 @@ def test_what_is_done_is_not_done_again(work):
     again, said = work.run()
     assert again.kept == ["letters", "count"] and work.runs == ["letters", "count"]
     assert said == ["[1 of 2] writing: done before", "[2 of 2] counting: done before"]
+
+
+def test_what_other_code_did_is_kept_and_said(work, monkeypatch):
+    """Hours of training are not thrown away for a line of code; who wants them by the new one is told how."""
+    work.run()
+    monkeypatch.setattr("caphy.pipeline.runner.own_code", lambda: "changed")
+    again, said = work.run()
+    assert again.kept == ["letters", "count"] and work.runs == ["letters", "count"]
+    assert all(re.search("done before, by other code of caphy.*another folder", line) for line in said)
 
 
 def test_changed_input_is_done_anew_without_what_was_left(work):
