@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.scan.mesh_files import SUFFIXES, MeshFile, read_mesh_file, write_ply
 from caphy.scan.scan import LABEL_NAMES, UNKNOWN, Scan
@@ -175,7 +176,7 @@ def write_scan_set(
         write_poses(poses, folder / "poses.npz")
         lines["poses"] = "poses.npz"
     text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in lines.items())
-    (folder / DESCRIPTION).write_text(text, encoding="utf-8")
+    write_text(folder / DESCRIPTION, text)
     return ScanSet.read(folder)
 
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 from caphy.network.files import save_network
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
 from caphy.training.layers import Layers
@@ -136,7 +137,7 @@ class Collider:
             if training.held_out is not None:
                 found = validate(training.network, training.objective, training.held_out).summary()
                 line = {"step": self.done, "seconds": round(self.seconds, 1), "validation": found}
-                (self.folder / name / METRICS).write_text(json.dumps(line) + "\n")
+                write_text(self.folder / name / METRICS, json.dumps(line) + "\n")
         before, after = self.before, self.collisions()
         if before is not None and after is not None:
             self.say(
