@@ -52,8 +52,11 @@ class Plan:
         return ["--minutes", f"{share * self.minutes:.6g}"]
 
 
-def stages(plan: Plan, count: int) -> list[Stage]:
-    """All stages for ``count`` scans, in order; seconds as one core took for 80 (docs/fit.md)."""
+def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
+    """All stages for ``count`` scans, in order; seconds as one core took for 80 (docs/fit.md).
+
+    beyond: what of the scans lies elsewhere than in their folder.
+    """
     run = plan.run
     sources, labelled = (run / SCANS, run / CHECKED), (run / SCANS, run / LABELS, run / LABELLED)
     subject = tuple(run / name for name in SUBJECT)
@@ -64,7 +67,7 @@ def stages(plan: Plan, count: int) -> list[Stage]:
     made = [
         Stage(
             "check", "checking the scans", lambda: check_scans(plan.scans, run, plan.parser),
-            inputs=(plan.scans,), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.13 * count,
+            inputs=(plan.scans, *beyond), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.13 * count,
         ),
         Stage(
             "segment", "telling skin, upper and lower garment apart", lambda: segment_scans(run, plan.layout),

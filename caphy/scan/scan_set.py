@@ -54,6 +54,8 @@ class ScanSet:
     """Folder of ``NAME.npy`` with one number per vertex, or none."""
     label_numbers: Mapping[int, int] | None = None
     """What the labels' numbers mean, to :data:`caphy.scan.scan.LABEL_NAMES`; none if they are ours already."""
+    poses_file: Path | None = None
+    """Where the poses were read."""
     labels_alone: bool = False
     """Whether a scan without labels there has none, whatever its mesh carries."""
 
@@ -80,6 +82,7 @@ class ScanSet:
             scale=UNITS[given["unit"]],
             rotation=np.array(_UP[given["up_axis"]], dtype=np.float64),
             poses=_poses(folder, given, files),
+            poses_file=folder / given["poses"] if "poses" in given else None,
             labels=labels or (own if own.is_dir() else None),
             label_numbers=None if labels else _numbers(folder, given.get("label_numbers")),
             labels_alone=labels is not None,
@@ -89,6 +92,12 @@ class ScanSet:
     def names(self) -> tuple[str, ...]:
         """Names of the scans: their files' without suffix."""
         return tuple(path.stem for path in self.files)
+
+    @property
+    def beyond(self) -> tuple[Path, ...]:
+        """What of it lies elsewhere than in its folder: scans, folder of labels, file of poses."""
+        parts = [path for path in (*self.files, self.labels, self.poses_file) if path is not None]
+        return tuple(path for path in parts if not path.resolve().is_relative_to(self.folder.resolve()))
 
     def __len__(self) -> int:
         return len(self.files)

@@ -27,11 +27,22 @@ def test_nothing_is_told_of_what_got_better():
     assert _no_gain({"rows": [template, ours]}) == [] == _no_gain({"rows": [template]}) == _no_gain({})
 
 
-def test_the_page_is_made_anew_when_what_it_tells_of_has_changed(tmp_path):
+def _plan(folder: Path) -> Plan:
     given = dict.fromkeys(field.name for field in fields(Plan))
-    given |= {"scans": tmp_path, "run": tmp_path, "poses": (), "minutes": 1.0, "fabric_rounds": 1, "fabric_scans": 3}
-    given |= {"collision_epochs": 1}
-    *before, report = stages(Plan(**given), 4)
+    given |= {"scans": folder / "given", "run": folder, "poses": (), "minutes": 1.0, "fabric_rounds": 1}
+    return Plan(**given | {"fabric_scans": 3, "collision_epochs": 1})
+
+
+def test_scans_are_checked_anew_when_what_lies_beyond_their_folder_has_changed(tmp_path):
+    (tmp_path / "labels").mkdir()
+    check = stages(_plan(tmp_path), 4, (tmp_path / "labels",))[0]
+    before = check.key()
+    (tmp_path / "labels" / "a.npy").write_bytes(b"1")
+    assert check.key() != before
+
+
+def test_the_page_is_made_anew_when_what_it_tells_of_has_changed(tmp_path):
+    *before, report = stages(_plan(tmp_path), 4)
     keys = [report.key()]
     for name in ("check.json", "body.json", *(f"stages/{stage.name}.json" for stage in before)):
         path: Path = tmp_path / name

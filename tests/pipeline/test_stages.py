@@ -200,6 +200,21 @@ def test_fingerprints_tell_contents_and_names_not_what_is_being_written(tmp_path
     assert fingerprint(tmp_path / "none") == "missing"
 
 
+def test_fingerprints_go_through_linked_folders_but_not_round_in_circles(tmp_path):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "set" / "labels").symlink_to(tmp_path / "elsewhere")
+    before = fingerprint(tmp_path / "set")
+    (tmp_path / "elsewhere" / "a.npy").write_bytes(b"1")
+    after = fingerprint(tmp_path / "set")
+    assert after != before
+    (tmp_path / "set" / "self").symlink_to(tmp_path / "set")
+    assert fingerprint(tmp_path / "set") == after
+    (tmp_path / "set" / "labels").unlink()
+    (tmp_path / "elsewhere").rename(tmp_path / "set" / "labels")
+    assert fingerprint(tmp_path / "set") == after  # the same content in a folder of its own
+
+
 KILLED = """
 import sys, time
 sys.path.insert(0, {here!r})
