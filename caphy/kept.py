@@ -6,6 +6,7 @@ import hashlib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ class Kept:
         """``effect_files``: the user's own effects, registered before: they count with all that they follow from."""
         self.folder = folder
         self._failed = False
-        self._code = "" if folder is None else digest(_sources(effect_files))
+        self._code = "" if folder is None else digest(own_code(), code(effect_files))
 
     def key(self, *of: object) -> str:
         """The name of what follows from ``of``, caphy's own code and the user's effects."""
@@ -51,10 +52,10 @@ class Kept:
             self._failed = True
 
 
-def _sources(effect_files: Sequence[Path]) -> list[bytes]:
-    """The code of caphy, and what the user's effects follow from."""
-    own = sorted(Path(caphy.__file__).parent.rglob("*.py"))
-    return [*(file.read_bytes() for file in own), *code(effect_files)]
+@cache
+def own_code() -> str:
+    """A digest of caphy's code, as it is when this process first asks."""
+    return digest([file.read_bytes() for file in sorted(Path(caphy.__file__).parent.rglob("*.py"))])
 
 
 def code(effect_files: Sequence[Path]) -> list[bytes]:

@@ -1,4 +1,4 @@
-"""Signed distance to a closed triangle surface: exact nearest points, and points re-projected on known faces."""
+"""Signed distance to a closed triangle surface: exact nearest points."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from caphy.errors import CaphyError
 
@@ -99,41 +98,6 @@ class Surface:
 def nearest_on_surface(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> NearestPoints:
     """Nearest surface points of ``points`` (N, 3) [m] on one mesh; keep a :class:`Surface` for repeated queries."""
     return Surface.of(faces, vertices).nearest(points, vertices)
-
-
-def nearest_on_faces(points: Array, vertices: Array, faces: Array, face: Array) -> NearestPoints:
-    """The point nearest to each of ``points`` (..., N, 3) on its *given* face; differentiable, numpy or torch.
-
-    For training with cached correspondences. The sign is that of the face's plane, which differs from the exact
-    one only next to edges sharper than a right angle.
-
-    Args:
-        vertices: (..., V, 3) [m].
-        faces: (F, 3).
-        face: which face of each point, (N,), or (..., N) when it varies over leading axes.
-    """
-    xp = array_namespace(points)
-    a, b, c = (_corner(xp, vertices, faces[face][..., i]) for i in range(3))
-    weights = barycentric_on_triangle(xp, points, a, b, c)
-    point = weights[..., 0, None] * a + weights[..., 1, None] * b + weights[..., 2, None] * c
-    normal = xp.linalg.cross(b - a, c - a)
-    normal = normal / xp.sqrt(_dot(xp, normal, normal))[..., None]
-    offset = points - point
-    square = _dot(xp, offset, offset)
-    touching = square < 1e-12  # a micrometre: the direction is rounding noise in float32
-    length = xp.sqrt(xp.where(touching, xp.ones_like(square), square))
-    height = _dot(xp, offset, normal)
-    sign = xp.where(height >= 0, xp.ones_like(height), -xp.ones_like(height))
-    distance = xp.where(touching, height, sign * length)
-    outward = xp.where(touching[..., None], normal, offset * (sign / length)[..., None])
-    return NearestPoints(face, weights, point, outward, distance)
-
-
-def _corner(xp: Any, vertices: Array, index: Array) -> Array:
-    """Vertices (..., V, 3) at ``index``, (N,) for all or (..., N) for each of the leading axes."""
-    if index.ndim == 1:
-        return vertices[..., index, :]
-    return xp.take_along_axis(vertices, xp.broadcast_to(index[..., None], (*index.shape, 3)), axis=-2)
 
 
 def _dot(xp: Any, a: Array, b: Array) -> Array:

@@ -25,6 +25,7 @@ from caphy.capture.subject import Fabric, Lower, Subject, Upper, make_subject
 from caphy.errors import CaphyError
 from caphy.garment.families import FAMILIES
 from caphy.garment.template import Garment, read_npz, write_npz
+from caphy.io.places import write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.poses.canonical import write_poses
 
@@ -84,9 +85,9 @@ def capture(plan: Plan, folder: Path, progress: Progress | None = None) -> None:
         if progress is not None:
             progress(index + 1, plan.count, monotonic() - started, report)
     write_poses(misestimated(poses, plan.pose_error, plan.seed), scans / "poses.npz")
-    (scans / "scans.toml").write_text(
+    write_text(
+        scans / "scans.toml",
         f'name = "subject {plan.seed}"\nunit = "m"\nup_axis = "y"\nscans = "*.ply"\nposes = "poses.npz"\n',
-        encoding="utf-8",
     )
 
 
@@ -125,10 +126,17 @@ def _claim(plan: Plan, folder: Path, truth: Path) -> None:
     """Write the plan down, or make sure that the folder's is the same."""
     path, text = truth / "plan.json", json.dumps(asdict(plan), indent=1)
     if not path.is_file():
-        truth.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    elif json.loads(path.read_text(encoding="utf-8")) != json.loads(text):
+        write_text(path, text)
+    elif _read(path) != json.loads(text):
         raise CaphyError(f"{folder}: holds another session ({path}); choose another folder, or delete this one")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The JSON that a session was made with."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CaphyError(f"{path}: cannot be read ({error}); delete the session and capture it again") from error
 
 
 def _subject(plan: Plan, truth: Path) -> Subject:
@@ -139,7 +147,7 @@ def _subject(plan: Plan, truth: Path) -> Subject:
     if not path.is_file():
         subject = make_subject(default_body(plan.body), plan.seed, plan.upper, plan.lower, plan.edge_length)
         _write_subject(subject, truth)
-        path.write_text(json.dumps(_told(subject), indent=1), encoding="utf-8")
+        write_text(path, json.dumps(_told(subject), indent=1))
     return read_subject(truth)
 
 
@@ -178,8 +186,7 @@ def read_subject(truth: Path) -> Subject:
     """The subject of a session's ``truth`` folder."""
     from caphy.capture.subject import frozen
 
-    plan = json.loads((truth / "plan.json").read_text(encoding="utf-8"))
-    told = json.loads((truth / "subject.json").read_text(encoding="utf-8"))["garments"]
+    plan, told = _read(truth / "plan.json"), _read(truth / "subject.json")["garments"]
     arrays = read_npz(truth / "body.npz")
     return Subject(
         body=frozen(default_body(plan["body"]), arrays["v_template"], arrays["joints"]),

@@ -51,13 +51,18 @@ def told(options: Train) -> dict[str, Any]:
 
 
 def contents(options: Train, trained: Sequence[PoseSequence]) -> dict[str, str]:
-    """Digests of what options name by path alone: motions, the code of own effects, and the points of scans."""
+    """Digests of what options name by path alone: motions, the code of own effects, the body, the points of scans."""
+    from caphy.body.model import BodyModel
     from caphy.kept import code, digest
     from caphy.register.points import read_points
 
     read = [(clip.poses, clip.transl, clip.fps) for clip in trained if Path(clip.source).is_file()]
     found = {"motions": digest(read), "effect files": digest(code(options.effect_file))}
-    return found if options.scans is None else found | {"scans": digest(read_points(options.scans, "train"))}
+    if options.body is not None:
+        found["arrays of the body"] = digest(BodyModel.load(options.body))
+    if options.scans is not None:
+        found["scans"] = digest(read_points(options.scans, "train"))
+    return found
 
 
 def require_same(options: Train, garment: Garment, model: Model, trained: Sequence[PoseSequence]) -> None:

@@ -17,7 +17,7 @@ from caphy.kept import Kept
 if TYPE_CHECKING:
     from caphy.effects.model import Model
     from caphy.evaluate.dressed import Subject
-    from caphy.fabric.rounds import Fitted, Guess, Objective
+    from caphy.fabric.rounds import Fitted, Guess, Objective, Round
     from caphy.fabric.stills import Worn
 
 RESULT, PAGE = "fabric.json", "fabric.html"
@@ -166,10 +166,18 @@ def _fit(
 
 def _again(before: Fitted, after: Fitted) -> Fitted:
     """The later fit with the rounds of both, told over the first start."""
-    from caphy.fabric.coefficients import Coefficients
+    import numpy as np
 
-    numbers = Coefficients.of(before.numbers.start)
-    return replace(after, numbers=numbers, rounds=(*before.rounds, *after.rounds))
+    from caphy.fabric.rounds import ratios
+
+    numbers = before.numbers
+
+    def over_the_start(one: Round) -> Round:
+        energy = np.sum([said.energy for said in one.said], axis=0)
+        return replace(one, stiffness=ratios(numbers, energy, one.values, numbers.values))
+
+    rounds = (*before.rounds, *map(over_the_start, after.rounds))
+    return replace(after, numbers=numbers, rounds=rounds, prior=after.numbers)
 
 
 def _worn(options: FabricCommand, subject: Subject, points: Any, kind: str) -> tuple[list[Worn], dict[str, str]]:

@@ -71,11 +71,11 @@ def main(arguments: list[str]) -> int:
     from caphy.pipeline.runner import run_stages
     from caphy.scan.scan_set import ScanSet
 
-    count = len(ScanSet.read(options.scans))
+    scans = ScanSet.read(options.scans)
     given = {name: value for name, value in vars(options).items() if name != "output"}
     plan = Plan(run=options.output, **given)
     options.output.mkdir(parents=True, exist_ok=True)
-    outcome = run_stages(stages(plan, count), options.output)
+    outcome = run_stages(stages(plan, len(scans), scans.beyond), options.output)
     for name, why in left_out(options.output).items():
         print(f"left out: {name}: {why}")
     for name, why in outcome.failed.items():

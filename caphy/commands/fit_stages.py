@@ -11,6 +11,7 @@ from typing import Literal
 
 from caphy.commands.fit_scans import CHECKED, LABELLED, LABELS, SCANS, check_scans, read, segment_scans
 from caphy.errors import CaphyError
+from caphy.pipeline.ledger import Ledger
 from caphy.pipeline.processes import run_shared
 from caphy.pipeline.stage import Stage
 
@@ -51,8 +52,11 @@ class Plan:
         return ["--minutes", f"{share * self.minutes:.6g}"]
 
 
-def stages(plan: Plan, count: int) -> list[Stage]:
-    """All stages for ``count`` scans, in order; seconds as one core took for 80 (docs/fit.md)."""
+def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
+    """All stages for ``count`` scans, in order; seconds as one core took for 80 (docs/fit.md).
+
+    beyond: what of the scans lies elsewhere than in their folder.
+    """
     run = plan.run
     sources, labelled = (run / SCANS, run / CHECKED), (run / SCANS, run / LABELS, run / LABELLED)
     subject = tuple(run / name for name in SUBJECT)
@@ -60,10 +64,10 @@ def stages(plan: Plan, count: int) -> list[Stage]:
     training = {"fabric": plan.fabric, "seed": plan.seed, "device": plan.device}
     fabrics = tuple(run / name for name in (FABRIC, "fabric_upper.json", "fabric_lower.json"))
     networks = tuple(run / name for name in ("train", "fabric", "collided"))
-    return [
+    made = [
         Stage(
             "check", "checking the scans", lambda: check_scans(plan.scans, run, plan.parser),
-            inputs=(plan.scans,), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.13 * count,
+            inputs=(plan.scans, *beyond), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.13 * count,
         ),
         Stage(
             "segment", "telling skin, upper and lower garment apart", lambda: segment_scans(run, plan.layout),
@@ -121,12 +125,14 @@ def stages(plan: Plan, count: int) -> list[Stage]:
             outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=5 + 0.9 * count,
             may_fail=True,
         ),
-        Stage(
-            "report", "writing the page", lambda: _report(plan),
-            inputs=(*labelled, *subject, run / FABRIC, run / "evaluation.json", run / "garments.json", run / AVATAR),
-            outputs=(run / PAGE,), seconds=3, may_fail=True,
-        ),
     ]  # fmt: skip
+    told = tuple(run / name for name in (CHECKED, "body.json", FABRIC, "evaluation.json", "garments.json", AVATAR))
+    records = tuple(Ledger(run).record(stage) for stage in made)  # what stages took, and why they failed
+    report = Stage(
+        "report", "writing the page", lambda: _report(plan),
+        inputs=(*labelled, *subject, *told, *records), outputs=(run / PAGE,), seconds=3, may_fail=True,
+    )  # fmt: skip
+    return [*made, report]
 
 
 def kinds(run: Path) -> list[str]:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from caphy.garment.families import Family
     from caphy.garment.template import Garment
     from caphy.register.articulation import Figure, Placement
+    from caphy.register.chamfer import Target
+    from caphy.register.cloud import Cloud
     from caphy.register.fit import BodyFit, Taken
     from caphy.register.template import Choice
     from caphy.scan.scan import Scan
@@ -202,31 +204,34 @@ def _garments(command: Garments) -> None:
     if unknown:
         raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
     found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
+    shown = _shown(command.output, fit.names)
     with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
         for kind in command.kinds:
-            found[kind] = _garment(command, fit, scans, kind, model, Kept(folder))
+            found[kind] = _garment(command, fit, shown, scans, kind, model, Kept(folder))
     write_text(command.output / "garments.json", json.dumps(found, indent=1, allow_nan=False))
 
 
 def _garment(
-    command: Garments, fit: BodyFit, scans: ScanSet, kind: Literal["upper", "lower"], model: Model, kept: Kept
+    command: Garments,
+    fit: BodyFit,
+    shown: Sequence[int],
+    scans: ScanSet,
+    kind: Literal["upper", "lower"],
+    model: Model,
+    kept: Kept,
 ) -> dict:
-    """Choose a garment, write it, and tell what was chosen; what a run that was stopped had found is not done again."""
+    """Choose a garment by the scans ``shown``, write it, and tell what was chosen.
+
+    What a run that was stopped had found is not done again.
+    """
     from dataclasses import asdict
 
-    from caphy.register.chamfer import Target
-    from caphy.register.cloud import Cloud
     from caphy.register.eases import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
-    from caphy.register.template import COMPARED, choose, plainest
+    from caphy.register.template import COMPARED, choose
 
-    shown = _shown(command.output, fit.names)
-    chosen = [shown[i] for i in plainest([fit.placements[i] for i in shown])]
+    chosen, clouds, targets = _targets(fit, shown, scans, kind)
     names = [fit.names[i] for i in chosen]
-    clouds = [Cloud.of(scans[scans.names.index(name)]) for name in names]
-    targets = [
-        Target.of(cloud, fit.figure.placed(fit.placements[i]), kind) for cloud, i in zip(clouds, chosen, strict=True)
-    ]
     basis, path = command.upper_basis if kind == "upper" else command.lower_basis, command.output / f"{kind}.npz"
     given = kind, command.body, (command.output / "body.npz").read_bytes(), names, clouds
     whole = kept.key("garment", given, model.to_json(), None if basis is None else basis.read_bytes())
@@ -255,12 +260,56 @@ def _garment(
     return told
 
 
+def _targets(
+    fit: BodyFit, shown: Sequence[int], scans: ScanSet, kind: str
+) -> tuple[list[int], list[Cloud], list[Target]]:
+    """Of the scans ``shown`` the plainest that show a garment, by their numbers; what lacks it is named.
+
+    Raises:
+        CaphyError: none shows it.
+    """
+    from caphy.register.chamfer import Target
+    from caphy.register.cloud import Cloud
+    from caphy.register.template import SCANS, plainest
+
+    chosen, clouds, targets, lacking = [], [], [], []
+    for i in plainest([fit.placements[i] for i in shown], len(shown)):
+        number = shown[i]
+        cloud = Cloud.of(scans[scans.names.index(fit.names[number])])
+        try:
+            targets.append(Target.of(cloud, fit.figure.placed(fit.placements[number]), kind))
+        except CaphyError as error:
+            lacking.append(str(error))
+            print(f"left out: {error}")
+            continue
+        chosen.append(number)
+        clouds.append(cloud)
+        if len(chosen) == SCANS:
+            break
+    if not chosen:
+        raise CaphyError("\n".join([f"no scan shows the {kind} garment:", *lacking]))
+    return chosen, clouds, targets
+
+
 def _shown(run: Path, names: Sequence[str]) -> list[int]:
-    """Numbers of the scans that templates may be chosen by: those to train on, or all where none are held out yet."""
+    """Numbers of the scans that templates may be chosen by: those to train on, or all where none are held out yet.
+
+    Raises:
+        CaphyError: the split is of other scans.
+    """
     from caphy.register.points import SPLIT, read_split
 
-    train = read_split(run)["train"] if (run / SPLIT).is_file() else []
-    return [i for i, name in enumerate(names) if name in train] or list(range(len(names)))
+    if not (run / SPLIT).is_file():
+        print("note: all scans choose, since none is held out yet: 'caphy register points' first holds out a fifth")
+        return list(range(len(names)))
+    train = read_split(run)["train"]
+    shown = [i for i, name in enumerate(names) if name in train]
+    if not shown:
+        raise CaphyError(
+            f"{run / SPLIT}: names none of the scans of the body fit to train on, but {train[0]}; correct it, or "
+            "remove it and run 'caphy register points' again"
+        )
+    return shown
 
 
 def _chosen(kept: Kept, key: str, choose: Callable[[], Choice]) -> Choice:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,11 @@ def supervision(
 ) -> Scans:
     """Supervision of the garment ``worn`` ("upper", "lower") by the training scans of a run; see :class:`Scans`.
 
-    Their mirror images are added where the body and all that is worn are the same on both sides.
+    Scans that do not show it are left out. Mirror images are added where the body and all that is worn are the same on
+    both sides.
+
+    Raises:
+        CaphyError: no scan shows the garment.
     """
     from caphy.register.points import read_points
     from caphy.training.mirrored import symmetric, with_mirror_images
@@ -38,13 +43,31 @@ def supervision(
     points = read_points(run, "train")
     outermost = outermost or innermost_of_run(run, points, objective)[-1]
     over = () if outermost == worn else (outermost,)
+    points, left_out = _showing(points, worn)
     cloth = objective.potential.cloth
     skin, joints = objective.body.rest(objective.betas)
     surfaces = [(skin, objective.body.faces), (cloth.vertices, cloth.faces)]
     surfaces += [(garment.vertices, garment.faces) for garment in templates(run)]
     if symmetric(surfaces):
         points = with_mirror_images(points, joints[0])
-    return Scans.of(points, worn, over, objective, network.driving, weight, physics)
+    scans = Scans.of(points, worn, over, objective, network.driving, weight, physics)
+    return replace(scans, left_out=left_out)
+
+
+def _showing(points: Sequence[ScanPoints], worn: str) -> tuple[list[ScanPoints], tuple[str, ...]]:
+    """The scans that show the garment ``worn``, and in words why the others do not."""
+    from caphy.training.counterparts import require_shown
+
+    shown, left_out = [], []
+    for scan in points:
+        try:
+            require_shown(scan, worn)
+            shown.append(scan)
+        except CaphyError as error:
+            left_out.append(str(error))
+    if not shown:
+        raise CaphyError("\n".join([f"no scan to train on shows the {worn} garment:", *left_out]))
+    return shown, tuple(left_out)
 
 
 def worn_part(path: Path, garment: Garment) -> str:

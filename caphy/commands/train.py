@@ -253,6 +253,8 @@ def _tell(
         physics = "" if trainer.scans.loss.physics else ", no physics"
         images = sum(name.endswith(MIRRORED) for name in trainer.scans.motions.names)
         count = f"{len(trainer.scans.motions) - images} scans{' and their mirror images' if images else ''}"
+        for why in trainer.scans.left_out:
+            print(f"left out: {why}")
         print(f"{count}, lambda_3d {trainer.scans.loss.weight:g} J/m^2{physics}")
     if trainer.held_out is None:
         print(f"note: nothing is validated, no clip held out has {SHORTEST} frames at {trainer.network.fps:g} fps")

@@ -19,15 +19,9 @@ from caphy.register.points import ScanPoints, read_points
 from caphy.scan.scan_set import ScanSet
 
 FORMAT = "caphy-evaluation-1"
-CHAMFER = "clothes_chamfer_mm"
-"""The figure that the table leads with."""
 DEFINITION = (
     "Chamfer: visible points of the predicted clothes to the scan's clothes and back, nearest points on triangles; the "
     "root of half of POP's sum of the two mean squared distances (Ma et al. 2021), in mm"
-)
-
-PICTURED = (
-    "mean over the pixels where scan or prediction shows somebody, from four sides, both in the colours of their labels"
 )
 
 Progress = Callable[[str, int, int], None]

@@ -43,12 +43,12 @@ class Certainty:
         """
         random = np.random.default_rng(seed)
         numbers, last = fitted.numbers, fitted.rounds[-1]
-        said, many = last.said, len(last.said)
+        said, many, prior = last.said, len(last.said), fitted.prior or numbers
         noise = Pooled.of(said)
         logs = []
         for _ in range(REPLICAS):
             drawn = Pooled.of(said, np.bincount(random.integers(many, size=many), minlength=many).astype(float))
-            values = solve(Pooled(drawn.a, drawn.b, noise.noise), numbers, last.values)
+            values = solve(Pooled(drawn.a, drawn.b, noise.noise), prior, last.values)
             found = ratios(numbers, fitted.energy, values, numbers.values)
             logs.append([np.log(max(found[name], 1e-12)) for name in numbers.names])
         spread = (

@@ -68,6 +68,7 @@ class Fitted:
         rounds: oldest first; the last one's evidence stands at ``values`` or next to it.
         left_out: scans that could not be used, name -> why.
         change: of each table's stiffness in the last round, effect -> ratio.
+        prior: what the last rounds' numbers were held near, where that is not where ``numbers`` begin.
     """
 
     numbers: Coefficients
@@ -75,6 +76,7 @@ class Fitted:
     rounds: tuple[Round, ...]
     left_out: dict[str, str] = field(default_factory=dict)
     change: dict[str, float] = field(default_factory=dict)
+    prior: Coefficients | None = None
 
     @property
     def settled(self) -> bool:

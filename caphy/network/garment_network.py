@@ -110,11 +110,6 @@ class GarmentNetwork(nn.Module):
             frames.append(vertices.cpu().numpy())
         return np.concatenate(frames)
 
-    def low_rank(self, rank: int) -> tuple[Tensor, Tensor]:
-        """Best factors (3V, rank) and (rank, width) of the head's weights in the sense of least squares."""
-        u, s, v = torch.linalg.svd(self.head.weight.detach(), full_matrices=False)
-        return u[:, :rank] * s[:rank], v[:rank]
-
 
 def wake(gru: nn.GRU) -> None:
     """Initial weights with which the pose reaches the last layer.

@@ -23,6 +23,8 @@ class Entry:
     seconds: float = 0.0
     """What it took, from its last start."""
     failure: str | None = None
+    code: str = ""
+    """Digest of the code of caphy that finished it."""
 
 
 class Ledger:
@@ -34,19 +36,20 @@ class Ledger:
     def entry(self, stage: Stage) -> Entry | None:
         """What is known of a stage."""
         try:
-            return Entry(**json.loads(self._record(stage).read_text(encoding="utf-8")))
+            return Entry(**json.loads(self.record(stage).read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
             return None
 
     def write(self, stage: Stage, entry: Entry) -> None:
         """Remember a stage, whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self._record(stage)
+        path = self.record(stage)
         partial = path.with_name(path.name + ".partial")
         partial.write_text(json.dumps(asdict(entry), indent=1), encoding="utf-8")
         partial.replace(path)
 
-    def _record(self, stage: Stage) -> Path:
+    def record(self, stage: Stage) -> Path:
+        """The file of its entry."""
         return self.folder / f"{stage.name}.json"
 
     def log(self, stage: Stage) -> Path:
@@ -69,14 +72,16 @@ class Ledger:
             CaphyError: something is in the place of an output, of which no stage of this run is known to have made it.
         """
         key, entry = stage.key(), self.entry(stage)
-        unknown = not self._record(stage).exists()
+        unknown = not self.record(stage).exists()
         for path in stage.outputs:
             if unknown and (path.exists() or path.is_symlink()):
                 raise CaphyError(
                     f"{path}: is there already and not of this run, so it is left alone; move it away, or give another "
                     "folder for the run"
                 )
-            if entry is None or entry.key != key:
+        if entry is None or entry.key != key:
+            self.write(stage, Entry("", finished=False))  # killed meanwhile, what is left of them counts for nothing
+            for path in stage.outputs:
                 _remove(path)
         self.write(stage, Entry(key, finished=False))
 

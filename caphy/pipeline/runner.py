@@ -8,6 +8,7 @@ from pathlib import Path
 from time import monotonic
 
 from caphy.errors import CaphyError
+from caphy.kept import own_code
 from caphy.pipeline.ledger import Entry, Ledger
 from caphy.pipeline.log import logged
 from caphy.pipeline.stage import Stage
@@ -60,7 +61,7 @@ def run_stages(stages: Sequence[Stage], run: Path, say: Callable[[str], None] = 
             outcome.kept.append(stage.name)
             outcome.seconds[stage.name] = _seconds(ledger, stage)
             pace.add(stage, outcome.seconds[stage.name])
-            say(f"{head}: done before")
+            say(f"{head}: done before{_by(ledger, stage)}")
             continue
         left = [s for s in stages[number:] if s is stage or not _looks_done(ledger, s)]
         say(f"{head}; about {_minutes(pace.left([stage]))}, {_minutes(pace.left(left))} for all that is left")
@@ -93,7 +94,7 @@ def _run(stage: Stage, ledger: Ledger, outcome: Outcome, say: Callable[[str], No
         say(f"{stage.name}: failed, going on without it: {error}")
         return
     seconds = monotonic() - started
-    ledger.write(stage, Entry(key, True, seconds))
+    ledger.write(stage, Entry(key, True, seconds, code=own_code()))
     outcome.done.append(stage.name)
     outcome.seconds[stage.name] = seconds
 
@@ -101,6 +102,13 @@ def _run(stage: Stage, ledger: Ledger, outcome: Outcome, say: Callable[[str], No
 def _seconds(ledger: Ledger, stage: Stage) -> float:
     entry = ledger.entry(stage)
     return entry.seconds if entry else 0.0
+
+
+def _by(ledger: Ledger, stage: Stage) -> str:
+    """A remark where other code of caphy did it: what took hours is not thrown away for every line that changes."""
+    entry = ledger.entry(stage)
+    same = entry is not None and entry.code == own_code()
+    return "" if same else ", by other code of caphy; give another folder for the run to do it by this"
 
 
 def _looks_done(ledger: Ledger, stage: Stage) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -56,17 +56,27 @@ class Stage:
 
 
 def fingerprint(path: Path) -> str:
-    """A hash of a file's content, or of the names and contents of all files in a folder."""
+    """A hash of a file's content, or of the names and contents of all files in a folder and in those linked there."""
     if path.is_dir():
         digest = hashlib.sha256()
-        for file in sorted(path.rglob("*")):
-            if file.is_file() and not file.name.endswith(UNFINISHED):
+        for file in sorted(_files(path, ())):
+            if not file.name.endswith(UNFINISHED):
                 digest.update(f"{file.relative_to(path).as_posix()} {fingerprint(file)}\n".encode())
         return digest.hexdigest()
     if not path.is_file():
         return "missing"
     stat = path.stat()
     return _content(str(path), stat.st_size, stat.st_mtime_ns, stat.st_ino)
+
+
+def _files(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
+    """All files below a folder; links back to it, or to those ``above`` it, lead nowhere."""
+    above = (*above, folder.resolve())
+    for path in folder.iterdir():
+        if path.is_file():
+            yield path
+        elif path.is_dir() and path.resolve() not in above:
+            yield from _files(path, above)
 
 
 @lru_cache(maxsize=4096)

@@ -128,10 +128,10 @@ def _first_fits(
     failures: dict[str, str],
 ) -> dict[int, CoarseFit]:
     """Coarse fits by the scan's number; what cannot be fitted goes into ``failures``."""
-    figure, found = Figure.of(body), {}
+    figure, found, known = Figure.of(body), {}, store.key(body)
     for i, scan in enumerate(scans):
         progress("first poses", i, len(scans))
-        key = store.key(body, scan.cloud, scan.start)
+        key = store.key(known, scan.cloud, scan.start)
         kept = store.first(scan.cloud.name, key)
         if kept is None:
             kept = first_fit(figure, surface, scan.cloud, scan.start)
@@ -161,9 +161,8 @@ def _joined(
 
 
 def _rounds(state: State, wearers: Sequence[Wearer], surface: Surface, store: Store, progress: Progress) -> State:
-    body = state.figure.body
     names = [wearer.skin_cloud.name for wearer in wearers]
-    key = store.key(body, *(part for w in wearers for part in (w.pose_cloud, w.skin_cloud)), state)
+    key = store.key(wearers, state)
     state = store.state(key, state) or state
     total = ROUNDS * len(names)
     while state.done < ROUNDS:

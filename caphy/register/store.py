@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from caphy.body.model import BodyModel
 from caphy.errors import CaphyError
 from caphy.garment.template import read_npz, write_npz
+from caphy.kept import digest, own_code
 from caphy.register.articulation import Figure, Placement
-from caphy.register.cloud import Cloud
 from caphy.register.coarse import CoarseFit
 from caphy.register.rounds import State
-
-VERSION = "1"
-"""Changed whenever what is stored would come out otherwise."""
 
 
 class Store:
@@ -26,14 +20,9 @@ class Store:
     def __init__(self, folder: Path | None):
         self.folder = folder
 
-    def key(self, *inputs: BodyModel | Cloud | Placement | State | None) -> str:
-        """A hash of everything a result depends on."""
-        digest = hashlib.sha256(VERSION.encode())
-        for item in inputs:
-            for array in _arrays(item):
-                digest.update(str((array.shape, array.dtype)).encode())
-                digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
+    def key(self, *of: object) -> str:
+        """A digest of all that a result depends on, caphy's code among it."""
+        return "" if self.folder is None else digest(own_code(), *of)
 
     def first(self, name: str, key: str) -> tuple[CoarseFit, float] | None:
         """The coarse fit of a scan and the share it leaves unexplained, if kept."""
@@ -81,16 +70,3 @@ class Store:
     def _write(self, name: str, key: str, arrays: dict[str, np.ndarray]) -> None:
         if self.folder is not None:
             write_npz(self.folder / name, {**arrays, "key": np.array(key)})
-
-
-def _arrays(item: Any) -> list[np.ndarray]:
-    if item is None:
-        return [np.zeros(0)]
-    if isinstance(item, BodyModel):
-        return [item.v_template, item.joints, item.weights, item.shapedirs, item.faces]
-    if isinstance(item, Cloud):
-        return [item.points, item.normals, item.labels]
-    if isinstance(item, Placement):
-        return [item.rotations, item.transl]
-    placed = [array for placement in item.placements for array in _arrays(placement)]
-    return [item.figure.betas, item.figure.displacement, *placed]

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.scan.mesh_files import SUFFIXES, MeshFile, read_mesh_file, write_ply
 from caphy.scan.scan import LABEL_NAMES, UNKNOWN, Scan
@@ -53,10 +54,16 @@ class ScanSet:
     """Folder of ``NAME.npy`` with one number per vertex, or none."""
     label_numbers: Mapping[int, int] | None = None
     """What the labels' numbers mean, to :data:`caphy.scan.scan.LABEL_NAMES`; none if they are ours already."""
+    poses_file: Path | None = None
+    """Where the poses were read."""
+    labels_alone: bool = False
+    """Whether a scan without labels there has none, whatever its mesh carries."""
 
     @classmethod
     def read(cls, folder: str | Path, labels: Path | None = None) -> ScanSet:
         """The set in a folder with a ``scans.toml``; ``labels`` is a folder of them to use instead of its own.
+
+        A scan that has none there has none: 'caphy fit' leaves out scans so.
 
         Raises:
             CaphyError: the description is missing, damaged or says something unknown, or there are no scans.
@@ -75,14 +82,22 @@ class ScanSet:
             scale=UNITS[given["unit"]],
             rotation=np.array(_UP[given["up_axis"]], dtype=np.float64),
             poses=_poses(folder, given, files),
+            poses_file=folder / given["poses"] if "poses" in given else None,
             labels=labels or (own if own.is_dir() else None),
             label_numbers=None if labels else _numbers(folder, given.get("label_numbers")),
+            labels_alone=labels is not None,
         )
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the scans: their files' without suffix."""
         return tuple(path.stem for path in self.files)
+
+    @property
+    def beyond(self) -> tuple[Path, ...]:
+        """What of it lies elsewhere than in its folder: scans, folder of labels, file of poses."""
+        parts = [path for path in (*self.files, self.labels, self.poses_file) if path is not None]
+        return tuple(path for path in parts if not path.resolve().is_relative_to(self.folder.resolve()))
 
     def __len__(self) -> int:
         return len(self.files)
@@ -108,7 +123,7 @@ class ScanSet:
 
     def _labels(self, path: Path, mesh: MeshFile) -> np.ndarray | None:
         beside = None if self.labels is None else self.labels / f"{path.stem}.npy"
-        numbers, where = mesh.label, path
+        numbers, where = None if self.labels_alone else mesh.label, path
         if beside is not None and beside.is_file():
             numbers, where = read_labels(beside), beside
         if numbers is None:
@@ -170,7 +185,7 @@ def write_scan_set(
         write_poses(poses, folder / "poses.npz")
         lines["poses"] = "poses.npz"
     text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in lines.items())
-    (folder / DESCRIPTION).write_text(text, encoding="utf-8")
+    write_text(folder / DESCRIPTION, text)
     return ScanSet.read(folder)
 
 

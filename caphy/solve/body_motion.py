@@ -6,12 +6,11 @@ from collections import OrderedDict
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from caphy.body.kinematics import joint_transforms
 from caphy.body.model import BodyModel
 from caphy.body.skinning import blend_transforms, skin
-from caphy.body.surface import NearestPoints, Surface, nearest_on_faces
+from caphy.body.surface import NearestPoints, Surface
 from caphy.effects.base import BodyState
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
@@ -171,15 +170,6 @@ class BodyMotion:
         fields = (found.point, found.normal, velocity, self._anchor(time))
         return BodyState(*(torch.from_numpy(field) for field in fields))
 
-    def states(self, times: np.ndarray, x: np.ndarray, dt: float) -> tuple[BodyState, np.ndarray]:
-        """:meth:`state` at several times (N,) [s] for positions x (N, V, 3) [m], and the nearest faces (N, V)."""
-        each, faces = [], []
-        for time, points in zip(times.tolist(), x, strict=True):
-            each.append(self.state(time, points, dt))
-            faces.append(self._faces)
-        fields = ("point", "normal", "velocity", "anchor")
-        return BodyState(*(torch.stack([getattr(state, name) for state in each]) for name in fields)), np.stack(faces)
-
     def _anchor(self, time: float) -> np.ndarray:
         if time != self._anchor_time:
             self._anchor_time, self._anchors = time, self.anchors(np.array([time]))[0]
@@ -190,23 +180,3 @@ def _unbroken(quaternions: np.ndarray) -> np.ndarray:
     """The same rotations (T, ..., 4) by quaternions that never change sides: q and -q are one rotation."""
     away = (quaternions[1:] * quaternions[:-1]).sum(-1, keepdims=True) < 0
     return np.concatenate([quaternions[:1], quaternions[1:] * np.cumprod(np.where(away, -1.0, 1.0), axis=0)])
-
-
-def state_on_faces(
-    x: Tensor, faces: Tensor, now: Tensor, before: Tensor, anchor: Tensor, triangles: Tensor, dt: float
-) -> BodyState:
-    """The body as batches of positions see it when the nearest triangles are known; for training.
-
-    Args:
-        x: positions (..., V, 3) [m].
-        faces: nearest body triangle of each, (..., V), as :meth:`BodyMotion.states` finds them.
-        now, before: body vertices (..., B, 3) [m] at the frames and ``dt`` seconds earlier.
-        anchor: skinned template (..., V, 3) [m].
-        triangles: faces of the body, (F, 3).
-        dt: time step [s].
-    """
-    found = nearest_on_faces(x, now, triangles, faces)
-    corners = triangles[faces].flatten(-2)[..., None].expand(*faces.shape[:-1], -1, 3)
-    earlier = torch.take_along_dim(before, corners, -2).unflatten(-2, (-1, 3))
-    velocity = (found.point - (found.barycentric[..., None] * earlier).sum(-2)) / dt
-    return BodyState(found.point, found.normal, velocity, anchor)

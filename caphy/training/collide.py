@@ -14,11 +14,12 @@ import torch
 from torch import Tensor, nn
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 from caphy.network.files import save_network
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
 from caphy.training.layers import Layers
 from caphy.training.loop import METRICS, NETWORK, Schedule, Trainer, evened, forget_later
-from caphy.training.scans import ScanStreams
+from caphy.training.scans import Scans, ScanStreams
 from caphy.training.streams import HELD_WINDOWS, Streams
 from caphy.training.track import Track
 from caphy.training.validate import SETTLED, validate
@@ -52,7 +53,7 @@ class Collider:
     """Several trainings gone on with together: each one's own loss, and the contact of any two garments.
 
     Steps on random poses and on the scans' poses take turns; all garments wear the same pose. Without scans, or where
-    one garment has none, all steps are on random poses.
+    one garment has none, all steps are on random poses; scans that not all were trained on are passed over.
     """
 
     def __init__(
@@ -77,9 +78,9 @@ class Collider:
         ]
         self.optimizer = torch.optim.AdamW(groups, betas=(0.9, 0.99), fused=True)
         self.turns = [_random_tracks(trainings, streams, seed)]
-        scans, steps = [t.scans for t in trainings], 0
-        if all(scan is not None for scan in scans):
-            self.turns.append(_scan_tracks(trainings, streams, seed))
+        scans, steps = [t.scans for t in trainings if t.scans is not None], 0
+        if len(scans) == len(trainings):
+            self.turns.append(_scan_tracks(trainings, scans, streams, seed))
             steps = -(-len(self.turns[1][0].motions) * HELD_WINDOWS // streams)
         self.epoch_steps = len(self.turns) * max(steps, LEAST_STEPS)
         """Steps of an epoch, those on random poses and those on scans."""
@@ -136,7 +137,7 @@ class Collider:
             if training.held_out is not None:
                 found = validate(training.network, training.objective, training.held_out).summary()
                 line = {"step": self.done, "seconds": round(self.seconds, 1), "validation": found}
-                (self.folder / name / METRICS).write_text(json.dumps(line) + "\n")
+                write_text(self.folder / name / METRICS, json.dumps(line) + "\n")
         before, after = self.before, self.collisions()
         if before is not None and after is not None:
             self.say(
@@ -220,23 +221,30 @@ def _random_tracks(trainings: Sequence[Trainer], streams: int, seed: int) -> lis
     ]
 
 
-def _scan_tracks(trainings: Sequence[Trainer], streams: int, seed: int) -> list[Track]:
+def _scan_tracks(trainings: Sequence[Trainer], scans: Sequence[Scans], streams: int, seed: int) -> list[Track]:
+    names = _in_all(scans)
+    played = [(t.network, own.only(names)) for t, own in zip(trainings, scans, strict=True)]
     return [
-        Track(t.scans.motions, ScanStreams(len(t.scans.motions), streams, seed), t.scans.loss, t.network,
-              slice(0, streams), last=True)
-        for t in trainings if t.scans is not None
-    ]  # fmt: skip
+        Track(own.motions, ScanStreams(len(names), streams, seed), own.loss, network, slice(0, streams), last=True)
+        for network, own in played
+    ]
+
+
+def _in_all(scans: Sequence[Scans]) -> list[str]:
+    """Names of the scans that all garments were trained on, as the first has them."""
+    return [name for name in scans[0].motions.names if all(name in other.motions.names for other in scans)]
 
 
 def _require_alike(names: Sequence[str], trainings: Sequence[Trainer]) -> None:
     first = trainings[0]
+    scans = [] if first.scans is None else [first.scans]
     for name, other in zip(names[1:], trainings[1:], strict=True):
-        own = [first.track.motions] + ([] if first.scans is None else [first.scans.motions])
-        theirs = [other.track.motions] + ([] if other.scans is None else [other.scans.motions])
+        mine, yours = first.track.motions, other.track.motions
+        scans += [] if other.scans is None else [other.scans]
+        apart = bool(scans) and not _in_all(scans)
         if not torch.allclose(first.network.joints, other.network.joints, atol=1e-4):
             raise CaphyError(f"{name}: was trained on another body than {names[0]}; train them on the same one")
         if first.network.fps != other.network.fps:
             raise CaphyError(f"{name}: runs at {other.network.fps:g} fps, {names[0]} at {first.network.fps:g}")
-        for mine, yours in zip(own, theirs, strict=False):
-            if mine.names != yours.names or not np.array_equal(mine.starts, yours.starts):
-                raise CaphyError(f"{name}: was trained on other poses or scans than {names[0]}; give both the same")
+        if apart or mine.names != yours.names or not np.array_equal(mine.starts, yours.starts):
+            raise CaphyError(f"{name}: was trained on other poses or scans than {names[0]}; give both the same")

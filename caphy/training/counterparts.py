@@ -28,6 +28,16 @@ LEAST_POINTS = 50
 """Points below which a scan does not show a garment."""
 
 
+def require_shown(scan: ScanPoints, worn: str) -> None:
+    """Raise CaphyError where a scan shows next to nothing of the garment ``worn``, a part of its points."""
+    count = len(getattr(scan, worn))
+    if count < LEAST_POINTS:
+        raise CaphyError(
+            f"{scan.name}: has {count} points of the {worn} garment, at least {LEAST_POINTS} are needed; check its "
+            "labels, or take it out of split.json"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Target:
     """One garment in one scan."""
@@ -48,12 +58,8 @@ class Target:
         Raises:
             CaphyError: the scan shows next to nothing of it.
         """
+        require_shown(scan, worn)
         own = getattr(scan, worn).astype(np.float64)
-        if len(own) < LEAST_POINTS:
-            raise CaphyError(
-                f"{scan.name}: has {len(own)} points of the {worn} garment, at least {LEAST_POINTS} are needed; check "
-                "its labels, or take it out of split.json"
-            )
         above = [getattr(scan, part) for part in over if len(getattr(scan, part))]
         shown = np.concatenate([scan.body, scan.upper, scan.lower])
         some = np.random.default_rng(0).permutation(len(shown))[:THINNED]

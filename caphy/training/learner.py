@@ -68,10 +68,9 @@ class Learner(nn.Module):
         return self._times(z).mT, after
 
     @torch.no_grad()
-    def fold(self, network: GarmentNetwork, weight: Tensor | None = None, bias: Tensor | None = None) -> None:
-        """Set the network's head to this one's, or to ``weight`` (3V, width) and ``bias`` (3V,) given in its place."""
-        weight = self.head.weight if weight is None else weight
-        bias = self.head.bias if bias is None else bias
+    def fold(self, network: GarmentNetwork) -> None:
+        """Set the network's head to this one's."""
+        weight, bias = self.head.weight, self.head.bias
         network.head.weight.copy_(self._times(weight.mT.unflatten(-1, (3, -1))).permute(2, 1, 0).flatten(0, 1))
         network.head.bias.copy_(self._times(bias.unflatten(0, (3, -1))).mT.flatten())
 

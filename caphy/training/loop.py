@@ -14,6 +14,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 from caphy.network.files import save_network
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
@@ -279,4 +280,4 @@ def forget_later(path: Path, step: int) -> None:
     if path.exists():
         lines = [line for line in path.read_text().splitlines() if line.endswith("}")]
         kept = [line for line in lines if json.loads(line)["step"] <= step]
-        path.write_text("".join(f"{line}\n" for line in kept))
+        write_text(path, "".join(f"{line}\n" for line in kept))

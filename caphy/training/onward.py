@@ -8,6 +8,7 @@ from pathlib import Path
 
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
+from caphy.io.places import write_text
 from caphy.training.checkpoint import NAME
 from caphy.training.loop import METRICS, Schedule, Trainer
 
@@ -52,5 +53,5 @@ def _record(source: Path, folder: Path, model: Model, steps: int, seed: int) -> 
     if (folder / "run.json").is_file():
         record = json.loads((folder / "run.json").read_text())
         record |= {"init": {"run": source.resolve().name}, "minutes": None, "steps": steps, "seed": seed}
-        (folder / "run.json").write_text(json.dumps(record, indent=2) + "\n")
-    (folder / "model.json").write_text(model.to_json() + "\n")
+        write_text(folder / "run.json", json.dumps(record, indent=2) + "\n")
+    write_text(folder / "model.json", model.to_json() + "\n")

@@ -140,6 +140,11 @@ class ScanLoss:
         scene, _ = objective.scene(motions, one, offsets, Past(still, still))
         return scene.x, objective.potential.loss(scene.x, scene.step, scene.body)
 
+    def only(self, scans: Sequence[int]) -> ScanLoss:
+        """The same of some scans alone, by their numbers."""
+        targets = [self.targets[scan] for scan in scans]
+        return ScanLoss(self.objective, self.chamfer, targets, self.weight, self.physics)
+
     def under(self, potential: Potential) -> ScanLoss:
         """The same with another physics."""
         other = copy.copy(self)
@@ -153,6 +158,8 @@ class Scans:
 
     motions: Motions
     loss: ScanLoss
+    left_out: tuple[str, ...] = ()
+    """What is said of scans that show too little of the garment."""
 
     @classmethod
     def of(
@@ -177,6 +184,13 @@ class Scans:
         chamfer = Chamfer(cloth.faces, cloth.vertices, cloth.vertex_area)
         motions = scan_motions(points, objective.body, driving, 1 / objective.dt, objective.betas)
         return cls(motions, ScanLoss(objective, chamfer, targets, weight, physics))
+
+    def only(self, names: Sequence[str]) -> Scans:
+        """The same of the scans ``names`` alone, in that order."""
+        own, chosen = self.motions, [self.motions.names.index(name) for name in names]
+        frames = own.poses[chosen], own.transl[chosen], own.features[chosen], own.transforms[chosen]
+        motions = Motions(*frames, np.arange(len(chosen) + 1), tuple(names))
+        return replace(self, motions=motions, loss=self.loss.only(chosen))
 
     def under(self, potential: Potential) -> Scans:
         """The same with another physics."""

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from caphy.body.bundled import default_body
 from caphy.body.grouped import GroupedClouds, GroupedSurface
-from caphy.body.surface import NearestPoints, Surface, nearest_on_faces, nearest_on_surface
+from caphy.body.surface import NearestPoints, Surface, nearest_on_surface
 from caphy.errors import CaphyError
 
 
@@ -138,48 +138,6 @@ def test_degenerate_triangles_do_no_harm():
 def test_wrong_input_is_refused(call, message):
     with pytest.raises(CaphyError, match=message):
         call()
-
-
-@pytest.mark.parametrize("make", [np.asarray, torch.as_tensor], ids=["numpy", "torch"])
-def test_given_faces_give_the_same_points(make):
-    vertices, faces, points = body_and_points(spread=0.01)
-    exact = nearest_on_surface(points, vertices, faces)
-    found = nearest_on_faces(make(points), make(vertices), make(faces.astype(np.int64)), make(exact.face))
-    np.testing.assert_allclose(found.point, exact.point, atol=1e-12)
-    np.testing.assert_allclose(found.barycentric, exact.barycentric, atol=1e-9)
-    agree = np.sign(np.asarray(found.distance)) == np.sign(exact.distance)
-    assert agree.mean() > 0.99
-    np.testing.assert_allclose(np.asarray(found.distance)[agree], exact.distance[agree], atol=1e-12)
-    np.testing.assert_allclose(np.asarray(found.normal)[agree], exact.normal[agree], atol=1e-6)
-
-
-def test_given_faces_batch_over_frames():
-    vertices, faces, points = body_and_points(50)
-    moved, turned = vertices + 0.1, points + 0.1
-    face = nearest_on_surface(points, vertices, faces).face
-    alone = nearest_on_faces(points, vertices, faces, face)
-    for index in (face, np.stack([face, face])):
-        both = nearest_on_faces(np.stack([points, turned]), np.stack([vertices, moved]), faces, index)
-        for t in range(2):
-            np.testing.assert_allclose(both.distance[t], alone.distance, atol=1e-12)
-            np.testing.assert_allclose(both.barycentric[t], alone.barycentric, atol=1e-9)
-
-
-def test_given_faces_are_differentiable():
-    vertices, faces, points = body_and_points(20)
-    exact = nearest_on_surface(points, vertices, faces)
-    points = torch.as_tensor(points).requires_grad_()
-    found = nearest_on_faces(
-        points, torch.as_tensor(vertices), torch.as_tensor(faces.astype(np.int64)), torch.as_tensor(exact.face)
-    )
-    (gradient,) = torch.autograd.grad(found.distance.sum(), points)
-    np.testing.assert_allclose(gradient, found.normal.detach(), atol=1e-9)
-    on_it = torch.as_tensor(exact.point).requires_grad_()
-    touching = nearest_on_faces(
-        on_it, torch.as_tensor(vertices), torch.as_tensor(faces.astype(np.int64)), torch.as_tensor(exact.face)
-    )
-    (gradient,) = torch.autograd.grad(touching.distance.sum(), on_it)
-    assert torch.isfinite(gradient).all()
 
 
 @pytest.mark.parametrize("corners", [(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 0), (2, 0, 1)])

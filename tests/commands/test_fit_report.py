@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from pathlib import Path
+
 from caphy.commands.fit_report import _no_gain
+from caphy.commands.fit_stages import Plan, stages
 
 
 def _row(name: str, clothes: float, upper: float, lower: float, look: float) -> dict:
@@ -21,3 +25,28 @@ def test_a_garment_that_got_worse_is_told_though_all_together_got_better():
 def test_nothing_is_told_of_what_got_better():
     template, ours = _row("skinned template", 23.24, 9.0, 29.88, 0.341), _row("ours", 18.82, 8.42, 20.22, 0.3)
     assert _no_gain({"rows": [template, ours]}) == [] == _no_gain({"rows": [template]}) == _no_gain({})
+
+
+def _plan(folder: Path) -> Plan:
+    given = dict.fromkeys(field.name for field in fields(Plan))
+    given |= {"scans": folder / "given", "run": folder, "poses": (), "minutes": 1.0, "fabric_rounds": 1}
+    return Plan(**given | {"fabric_scans": 3, "collision_epochs": 1})
+
+
+def test_scans_are_checked_anew_when_what_lies_beyond_their_folder_has_changed(tmp_path):
+    (tmp_path / "labels").mkdir()
+    check = stages(_plan(tmp_path), 4, (tmp_path / "labels",))[0]
+    before = check.key()
+    (tmp_path / "labels" / "a.npy").write_bytes(b"1")
+    assert check.key() != before
+
+
+def test_the_page_is_made_anew_when_what_it_tells_of_has_changed(tmp_path):
+    *before, report = stages(_plan(tmp_path), 4)
+    keys = [report.key()]
+    for name in ("check.json", "body.json", *(f"stages/{stage.name}.json" for stage in before)):
+        path: Path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("{}")
+        keys.append(report.key())
+    assert len(set(keys)) == len(keys)

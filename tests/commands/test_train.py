@@ -8,12 +8,15 @@ from pathlib import Path
 import pytest
 from small_world import swaying, tube
 
+from caphy.body.bundled import default_body
 from caphy.cli import main
 from caphy.effects import registry
 from caphy.effects.presets import snug_model
 from caphy.effects.scaffold import write_scaffold
+from caphy.garment.template import write_npz
 from caphy.io.poses import write_poses
 from caphy.network.files import load_network
+from caphy.register.subject import body_arrays
 
 
 @pytest.fixture
@@ -59,21 +62,26 @@ def test_goes_on_only_with_what_it_began_with(inputs, capsys, monkeypatch):
     """The same paths, of which one holds something else by now."""
     monkeypatch.setattr(registry, "_from_files", {})  # other tests know nothing of it
     model, file, motion = inputs / "model.json", inputs / "mine.py", inputs / "motions" / "1.npz"
+    body, arrays = inputs / "body.npz", body_arrays(default_body())
+    write_npz(body, arrays)
     model.write_text(snug_model().to_json())
     write_scaffold("my_resumed_pull", file)
-    arguments = "--model", str(model), "--effect-file", str(file), "--resume", "--steps", "3"
-    assert train(inputs, *arguments[:4]) == 0
-    kept = {path: path.read_bytes() for path in (model, file, motion)}
+    arguments = "--model", str(model), "--effect-file", str(file), "--body", str(body), "--resume", "--steps", "3"
+    assert train(inputs, *arguments[:6]) == 0
+    kept = {path: path.read_bytes() for path in (model, file, motion, body)}
     model.write_text(snug_model().with_effect("strain_stvk", lame_mu=33.3).to_json())
     for path, says in (
         (model, "under another model"),
         (file, "with other effect files"),
         (motion, "with other motions"),
+        (body, "with other arrays of the body"),
     ):
         if path == file:
             file.write_text(kept[file].decode() + "# changed\n")
         elif path == motion:
             write_poses(swaying(30, 7), motion)
+        elif path == body:
+            write_npz(body, arrays | {"v_template": 1.01 * arrays["v_template"]})
         assert train(inputs, *arguments) == 2
         assert f"was begun {says}" in capsys.readouterr().err
         path.write_bytes(kept[path])

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from benchmarks._panel import Stills, panel, turns
+from caphy.commands.fabric import _again
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
@@ -117,6 +118,30 @@ def test_the_response_is_the_change_of_the_equilibrium(scans):
     moved = lying.hits.residual(lying.x) - lying.hits.residual(after.numpy())
     near = np.abs(lying.hits.residual(lying.x)) < 0.012
     assert change @ said.a @ change == pytest.approx(float((moved[near] ** 2).sum()), rel=0.1)
+
+
+def test_rounds_of_fits_in_turns_are_told_over_the_first_start(monkeypatch):
+    """The later fit began with twice the start's stiffness; what is drawn again begins where it began."""
+    first = Coefficients.of(PLANTED)
+    later = Coefficients.of(first.model(2 * first.values))
+    count = len(first.values) + len(CONTACT)
+    said = 3 * (Said(np.eye(count), np.zeros(count), 1.0, 9, np.ones(len(first.values)), 0.001),)
+
+    def fitted(numbers: Coefficients, *times: float) -> Fitted:
+        values = [share * numbers.values for share in times]
+        told = [dict.fromkeys(numbers.names, share) for share in times]
+        rounds = tuple(Round(*each, 0.001) for each in zip(values, [said] * len(times), told, strict=True))
+        return Fitted(numbers, values[-1], rounds)
+
+    both = _again(fitted(first, 1.0, 2.0), fitted(later, 1.0, 1.5))
+    for name in first.names:
+        assert [one.stiffness[name] for one in both.rounds] == pytest.approx([1, 2, 2, 3])
+        assert both.stiffness[name] == pytest.approx(3)
+    begun = []
+    monkeypatch.setattr("caphy.fabric.certainty.solve", lambda pooled, numbers, values: begun.append(numbers) or values)
+    sure = Certainty.of(both)
+    assert all(np.array_equal(numbers.values, later.values) for numbers in begun)
+    assert sure.low == pytest.approx(dict.fromkeys(first.names, 3.0))
 
 
 def test_a_planted_fabric_is_found_from_a_wrong_one(scans):

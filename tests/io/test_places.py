@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from caphy.capture import session
 from caphy.cli import main
+from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder, write_text
+from caphy.scan.scan_set import write_scan_set
+from caphy.training import onward
+from caphy.training.loop import forget_later
 
 
 def test_places_that_can_be_written(tmp_path):
@@ -46,6 +51,50 @@ def test_a_text_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     with pytest.raises(CaphyError, match=r"a\.json: cannot be written \(No space left on device\)"):
         write_text(tmp_path / "new" / "a.json", "second")
     assert [path.read_text() for path in (tmp_path / "new").iterdir()] == ["first"]
+
+
+@pytest.mark.parametrize(
+    ("name", "former", "write"),
+    [
+        ("truth/plan.json", None, lambda folder: session._claim(session.Plan(), folder, folder / "truth")),
+        ("truth/subject.json", None, lambda folder: session._subject(session.Plan(), folder / "truth")),
+        ("scans.toml", None, lambda folder: write_scan_set(folder, [], "somebody")),
+        ("metrics.jsonl", '{"step": 1}\n{"step": 2}\n', lambda folder: forget_later(folder / "metrics.jsonl", 1)),
+        ("run.json", '{"steps": 5}', lambda folder: onward._record(folder, folder, Model(0.2), 1, 0)),
+        ("model.json", None, lambda folder: onward._record(folder, folder, Model(0.2), 1, 0)),
+    ],
+)
+def test_killed_amid_a_small_file_there_is_the_former_or_none(name, former, write, tmp_path, monkeypatch):
+    """The plan of a session, its subject, a set's description, a training's metrics and records."""
+
+    class Killed(BaseException):
+        pass
+
+    def half(path: Path, text: str, **_) -> None:
+        path.write_bytes(text.encode()[: len(text) // 2])
+        raise Killed
+
+    def killed(*_) -> None:
+        raise Killed
+
+    if former is not None:
+        (tmp_path / name).write_text(former)
+    monkeypatch.setattr(session, "make_subject", lambda *_: None)
+    monkeypatch.setattr(session, "_write_subject", lambda *_: None)
+    monkeypatch.setattr(session, "_told", lambda _: {"garments": {}})
+    monkeypatch.setattr(Path, "write_text", half)
+    monkeypatch.setattr(os, "replace", killed)
+    (tmp_path / "truth").mkdir()
+    with pytest.raises(Killed):
+        write(tmp_path)
+    assert ((tmp_path / name).read_text() if (tmp_path / name).exists() else None) == former
+
+
+def test_half_a_plan_of_a_session_is_told(tmp_path):
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / "plan.json").write_text('{"seed":')
+    with pytest.raises(CaphyError, match=r"plan\.json: .*delete"):
+        session._claim(session.Plan(), tmp_path, tmp_path / "truth")
 
 
 def _full(*_):

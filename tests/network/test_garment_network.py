@@ -125,13 +125,6 @@ def test_driving_joints_hold_every_carrier(network):
         assert JOINT_PARENTS[joint] in (0, *network.driving)
 
 
-def test_low_rank_is_the_best_in_least_squares(network):
-    left, right = network.low_rank(5)
-    singular = torch.linalg.svdvals(network.head.weight)
-    error = torch.linalg.norm(network.head.weight - left @ right)
-    torch.testing.assert_close(error, torch.linalg.norm(singular[5:]))
-
-
 def test_stream_of_arrays(network):
     poses, transl = motion(7)
     whole, _ = network(poses, transl, network.initial_state())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -69,6 +70,15 @@ def test_what_is_done_is_not_done_again(work):
     assert said == ["[1 of 2] writing: done before", "[2 of 2] counting: done before"]
 
 
+def test_what_other_code_did_is_kept_and_said(work, monkeypatch):
+    """Hours of training are not thrown away for a line of code; who wants them by the new one is told how."""
+    work.run()
+    monkeypatch.setattr("caphy.pipeline.runner.own_code", lambda: "changed")
+    again, said = work.run()
+    assert again.kept == ["letters", "count"] and work.runs == ["letters", "count"]
+    assert all(re.search("done before, by other code of caphy.*another folder", line) for line in said)
+
+
 def test_changed_input_is_done_anew_without_what_was_left(work):
     work.run()
     work.source.write_text("xy")
@@ -119,6 +129,22 @@ def test_a_stopped_stage_starts_anew_if_its_input_changed_meanwhile(work):
     work.source.write_text("xbc")
     work.run()
     assert (work.folder / "letters" / "0.txt").read_text() == "x"
+
+
+def test_killed_while_former_outputs_go_what_is_left_of_them_does_not_count(work, monkeypatch):
+    work.run()
+
+    def killed(path: Path) -> None:
+        (path / "0.txt").unlink()
+        raise KeyboardInterrupt
+
+    work.big = True
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("caphy.pipeline.ledger._remove", killed)
+        work.run()
+    work.big = False
+    assert work.run()[0].done[0] == "letters"
+    assert sorted(path.read_text() for path in (work.folder / "letters").iterdir()) == ["a", "b", "c"]
 
 
 def test_a_damaged_record_counts_as_none(work):
@@ -172,6 +198,21 @@ def test_fingerprints_tell_contents_and_names_not_what_is_being_written(tmp_path
     (tmp_path / "a" / "one.npz").rename(tmp_path / "a" / "other.npz")
     assert fingerprint(tmp_path / "a") != before
     assert fingerprint(tmp_path / "none") == "missing"
+
+
+def test_fingerprints_go_through_linked_folders_but_not_round_in_circles(tmp_path):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "set" / "labels").symlink_to(tmp_path / "elsewhere")
+    before = fingerprint(tmp_path / "set")
+    (tmp_path / "elsewhere" / "a.npy").write_bytes(b"1")
+    after = fingerprint(tmp_path / "set")
+    assert after != before
+    (tmp_path / "set" / "self").symlink_to(tmp_path / "set")
+    assert fingerprint(tmp_path / "set") == after
+    (tmp_path / "set" / "labels").unlink()
+    (tmp_path / "elsewhere").rename(tmp_path / "set" / "labels")
+    assert fingerprint(tmp_path / "set") == after  # the same content in a folder of its own
 
 
 KILLED = """

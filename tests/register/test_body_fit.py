@@ -10,13 +10,17 @@ import pytest
 from dressed_scans import Subject, disturbed, look, subject
 
 from caphy.body.bundled import default_body
+from caphy.body.model import BodyModel
 from caphy.body.surface import Surface
 from caphy.errors import CaphyError
 from caphy.io.procedural import procedural_motion
+from caphy.register import fit
 from caphy.register.articulation import Figure, Placement
 from caphy.register.cloud import Cloud
 from caphy.register.fit import BodyFit, Taken, fit_bodies
+from caphy.register.prior import PosePrior
 from caphy.register.result import read_fit, write_fit
+from caphy.register.rounds import State, Wearer
 from caphy.register.starts import first_fit, plain_poses
 from caphy.register.store import Store
 from caphy.rotations import axis_angle_from_matrix
@@ -106,6 +110,32 @@ def test_a_stopped_fit_goes_on_where_it_was_and_ends_alike(fitted, taken, tmp_pa
     assert [done for what, done, _ in again if what == "shape and skin"] == list(range(2 * COUNT + 1, 3 * COUNT + 1))
     np.testing.assert_array_equal(resumed.figure.betas, whole.figure.betas)
     np.testing.assert_array_equal(resumed.vertices(1), whole.vertices(1))
+
+
+def test_what_is_kept_is_of_the_same_code_body_and_estimates(taken, tmp_path, monkeypatch):
+    body, cloud = default_body(), taken[0].cloud
+    keys = []
+
+    class Asked(Store):
+        def state(self, key: str, initial: State) -> State | None:
+            keys.append(key)
+            return super().state(key, initial)
+
+    def ask(body: BodyModel, estimate: np.ndarray | None) -> None:
+        state = State(Figure.of(body), (Placement.of(np.zeros((55, 3)), np.zeros(3)),))
+        fit._rounds(state, [Wearer.of(cloud, PosePrior(estimate))], None, Asked(tmp_path), fit.quiet)
+
+    monkeypatch.setattr(fit, "ROUNDS", 0)
+    bent = replace(body, posedirs=np.zeros((1, 3, 486)))
+    ask(body, None)
+    ask(body, None)
+    assert keys[0] == keys[1]
+    ask(body, np.tile(np.eye(3), (22, 1, 1)))
+    ask(bent, None)
+    assert len(set(keys)) == 3
+    monkeypatch.setattr("caphy.register.store.own_code", lambda: "changed")
+    ask(body, None)
+    assert len(set(keys)) == 4
 
 
 def test_a_fit_comes_back_from_disk(fitted, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from dressed_scans import GARMENTS, disturbed, subject, visible
 from caphy.body.bundled import default_body
 from caphy.challenge.sheets import users_square
 from caphy.cli import main
-from caphy.commands.register import _hung
+from caphy.commands.register import _garment, _hung, _shown
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.families import Tshirt
@@ -21,8 +22,10 @@ from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
 from caphy.kept import Kept
+from caphy.register.cloud import Cloud
 from caphy.register.linear_style import choose_linear
 from caphy.register.result import read_fit
+from caphy.register.starts import plain_poses
 from caphy.register.template import Choice
 from caphy.report.render import vertex_normals
 from caphy.scan.scan import Scan
@@ -110,6 +113,48 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
     assert (told["lower"]["looked_at"], told["upper"]["looked_at"]) == (5, 7)
     assert told["upper"]["families"] == {"tshirt": 0.01}
     assert not (run / "garments-unfinished").exists()
+
+
+def test_templates_are_chosen_by_the_scans_that_show_them(tmp_path, capsys, monkeypatch):
+    """A scan of many may lack one garment: only where all lack it there is nothing to choose by."""
+    points = np.random.default_rng(0).random((90, 3))
+    both, upper = np.repeat([0, 1, 2], 30), np.repeat([0, 1, 1], 30)
+    names, labels = ("scan0", "scan1", "scan2"), (both, upper, both)
+    clouds = [Cloud(name, points, points, label) for name, label in zip(names, labels, strict=True)]
+
+    class Scans(list):
+        """Clouds in place of scans."""
+
+    scans = Scans(clouds)
+    scans.names = names
+    seen = []
+
+    def choose(figure, targets, kind, progress) -> Choice:
+        seen.extend(target.scan.name for target in targets)
+        return Choice(Tshirt(), 0.01, 7, ())
+
+    monkeypatch.setattr("caphy.register.cloud.Cloud.of", lambda scan: scan)
+    monkeypatch.setattr("caphy.register.template.choose", choose)
+    monkeypatch.setattr("caphy.commands.register._hung", lambda *_: (Tshirt(), users_square(5)))
+    (tmp_path / "body.npz").write_bytes(b"fit")
+    command = SimpleNamespace(output=tmp_path, body="medium", upper_basis=None, lower_basis=None)
+    fit = SimpleNamespace(names=names, placements=plain_poses()[:3], figure=SimpleNamespace(placed=lambda _: None))
+    told = _garment(command, fit, range(3), scans, "lower", Model(0.2), Kept())
+    assert sorted(seen) == ["scan0", "scan2"] and sorted(told["scans"]) == ["scan0", "scan2"]
+    assert "left out: scan1: has no points labelled lower" in capsys.readouterr().out
+    scans[:] = [clouds[1]] * 3
+    with pytest.raises(CaphyError, match=r"no scan shows the lower garment:\n.*has no points labelled lower"):
+        _garment(command, fit, range(3), scans, "lower", Model(0.2), Kept())
+
+
+def test_templates_are_not_chosen_by_what_is_held_out(tmp_path, capsys):
+    """Where nothing is held out yet, it is said that all choose."""
+    assert _shown(tmp_path, ("a", "b", "c")) == [0, 1, 2]
+    assert "note: " in (told := capsys.readouterr().out) and "caphy register points" in told
+    (tmp_path / "split.json").write_text(json.dumps({"train": ["b", "d"], "held_out": ["a"]}))
+    assert _shown(tmp_path, ("a", "b", "c")) == [1] and not capsys.readouterr().out
+    with pytest.raises(CaphyError, match=r"split\.json: names none of the scans of the body fit to train on"):
+        _shown(tmp_path, ("a", "c"))
 
 
 def test_nothing_to_fit_is_an_error_in_words(folder, tmp_path, capsys):

@@ -139,6 +139,38 @@ def _bad_nan(folder):
     trimesh.Trimesh(vertices, mesh.faces, process=False).export(folder / "two.ply")
 
 
+def test_labels_in_another_folder_are_instead_of_those_in_the_scans(tmp_path):
+    """A scan that has none there was left out when they were made."""
+    _describe(tmp_path)
+    labels = (np.arange(len(BOX.vertices)) % 3).astype(np.uint8)
+    write_scan_set(
+        tmp_path, [Scan(name, np.array(BOX.vertices), np.array(BOX.faces), None, labels) for name in "ab"], "s"
+    )
+    write_labels(tmp_path / "other" / "a.npy", labels[::-1])
+    first, second = ScanSet.read(tmp_path, tmp_path / "other")
+    assert np.array_equal(first.labels, labels[::-1]) and second.labels is None
+    (tmp_path / "other").rename(tmp_path / "labels")
+    first, second = ScanSet.read(tmp_path)
+    assert np.array_equal(first.labels, labels[::-1]) and np.array_equal(second.labels, labels)
+
+
+def test_what_lies_beyond_a_set_s_folder_is_known(tmp_path):
+    folder = tmp_path / "set"
+    _describe(folder, 'unit = "m"\nup_axis = "y"\nlabels = "../labels"\nposes = "../poses.npz"\n')
+    (tmp_path / "labels").mkdir()
+    write_poses(PoseSequence(np.zeros((2, 55, 3)), np.zeros((2, 3)), 1.0), tmp_path / "poses.npz")
+    BOX.export(folder / "one.ply")
+    BOX.export(tmp_path / "other.ply")
+    (folder / "two.ply").symlink_to(tmp_path / "other.ply")
+    beyond = {path.resolve() for path in ScanSet.read(folder).beyond}
+    assert beyond == {tmp_path / "labels", tmp_path / "poses.npz", tmp_path / "other.ply"}
+    write_poses(PoseSequence(np.zeros((2, 55, 3)), np.zeros((2, 3)), 1.0), folder / "poses.npz")
+    (folder / "two.ply").unlink()
+    BOX.export(folder / "two.ply")
+    _describe(folder, 'unit = "m"\nup_axis = "y"\nposes = "poses.npz"\n')
+    assert ScanSet.read(folder).beyond == ()
+
+
 def _bad_labels(folder):
     np.save(folder / "labels" / "two.npy", np.zeros(3, np.uint8))
 

@@ -12,7 +12,7 @@ from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
 from caphy.kept import Kept
-from caphy.solve.body_motion import BodyMotion, state_on_faces
+from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.solve.preroll import preroll_poses
 from caphy.solve.rollout import AT_ONCE, State, simulate
@@ -100,20 +100,6 @@ def test_cloth_on_the_body_is_carried_along(box_body, mat):
     guess = motion.carried(x, np.full_like(x, 9.0), 0.0, 0.1)
     expected = motion.anchors(np.array([0.1]))[0] - [0, 0.0099, 0]
     np.testing.assert_allclose(guess, expected, atol=0.03)
-
-
-def test_batches_with_known_faces_see_the_same(box_body, mat):
-    motion = BodyMotion(box_body, sliding(turn=0.1), mat)
-    times = motion.times[1:4]
-    x = motion.anchors(times) + 0.002
-    expected, faces = motion.states(times, x, 1 / 30)
-    now, before = (torch.from_numpy(motion.vertices(t)) for t in (times, times - 1 / 30))
-    triangles = torch.from_numpy(box_body.faces.astype(np.int64))
-    found = state_on_faces(
-        torch.from_numpy(x), torch.from_numpy(faces), now, before, expected.anchor, triangles, 1 / 30
-    )
-    for name in ("point", "normal", "velocity", "anchor"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-9)
 
 
 def test_cloth_rests_where_contact_carries_its_weight(box_body, mat):

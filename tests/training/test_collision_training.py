@@ -30,6 +30,7 @@ from caphy.training.layers import Layers
 from caphy.training.loop import NETWORK, Schedule, Trainer
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective
+from caphy.training.scans import Scans
 from caphy.training.validate import static_drape
 
 SIZES = (1.0, 0.985, 0.975)
@@ -126,6 +127,26 @@ def test_garments_must_share_body_and_motions(tmp_path):
     two.network.joints -= 0.01
     two.track.motions = replace(two.track.motions, names=("another",))
     with pytest.raises(CaphyError, match="two: was trained on other poses"):
+        Collider(tmp_path, ["one", "two"], [one, two])
+
+
+def test_garments_meet_in_the_scans_that_show_them_all(tmp_path, monkeypatch):
+    monkeypatch.setattr("caphy.training.collide.LEAST_STEPS", 2)
+    one, two = alone(tmp_path, 0), alone(tmp_path, 1)
+    for training, shown in ((one, (0, 1, 2)), (two, (1, 2, 3))):
+        points = [scan(index, 300) for index in shown]
+        training.scans = Scans.of(points, "lower", (), training.objective, training.network.driving)
+    together = Collider(tmp_path, ["one", "two"], [one, two])
+    for track in together.turns[1]:
+        assert track.motions.names == ("scan1", "scan2")
+        assert track.motions.starts.tolist() == [0, 1, 2]
+        assert np.array_equal(track.motions.poses, np.stack([scan(1).pose, scan(2).pose]))
+        shown = [target.sample for target in track.loss.targets]
+        assert np.array_equal(shown, [scan(1, 300).lower, scan(2, 300).lower])
+    for _ in range(2):
+        together.step()
+    two.scans = two.scans.only(["scan3"])
+    with pytest.raises(CaphyError, match="two: was trained on other poses or scans"):
         Collider(tmp_path, ["one", "two"], [one, two])
 
 

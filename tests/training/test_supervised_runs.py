@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,16 @@ def test_held_out_scans_are_not_read(world):
     assert train(other, "again", "--steps", "4") == 0
     one, two = (load_network(folder / NETWORK).state_dict() for folder in (world / "few", other / "again"))
     assert all(torch.equal(one[name], two[name]) for name in one)
+
+
+def test_a_scan_that_lacks_the_garment_is_left_out_and_named(tmp_path, capsys):
+    write_run(tmp_path / "run", train=3)
+    replace(scan(1), lower=scan(1).lower[:10]).save(tmp_path / "run" / "points")
+    write_poses(swaying(40, 0), tmp_path / "motion.npz")
+    assert train(tmp_path, "some", "--steps", "1") == 0
+    told = capsys.readouterr().out
+    assert told.count("left out: scan1: has 10 points of the lower garment") == 1
+    assert "2 scans and their mirror images," in told
 
 
 def test_what_it_was_trained_on_is_recorded_without_paths_in_the_record(world):
