@@ -327,7 +327,7 @@ def mistaken(named: Diagnosis, told: bool) -> Search:
     found = searched(named, told)
     group, term = Group(WRONG, addition(WRONG)), found.terms[0]
     found.fit = refitted(named.study, found, [group], "the wrong one")
-    found.terms = [replace(term, group=group, fit=found.fit, tried={WRONG: 0.5, HIDDEN: 0.45}, even=())]
+    found.terms = [replace(term, group=group, fit=found.fit, weighed={WRONG: 0.5, HIDDEN: 0.45}, even=())]
     return found
 
 
@@ -347,7 +347,7 @@ def test_what_the_search_took_by_mistake_is_put_right(named, apart):
 def test_what_is_right_stays(named, apart):
     found = searched(named, told=False)
     before = found.fit
-    found.terms[0] = replace(found.terms[0], tried={WRONG: 0.45, HIDDEN: 0.5})
+    found.terms[0] = replace(found.terms[0], weighed={WRONG: 0.45, HIDDEN: 0.5})
     settle_rivals(named.study, found, apart)
     assert found.fit is before and found.terms[0].group.name == HIDDEN
 

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from caphy.refit.columns import addition
 from caphy.refit.heldout import HeldOut
 from caphy.refit.refit import _refused
 
-FITTED: Any = SimpleNamespace(share=0.1)
-SURE, UNSURE = {"a.b": (1.0, 0.5, 1.5, "1")}, {"a.b": (0.0013, -0.0007, 0.0033, "1")}
+COLUMNS = addition("air_drag_normal")
+FITTED: Any = SimpleNamespace(share=0.1, columns=COLUMNS)
+SURE, UNSURE = ({COLUMNS[0].name: told} for told in ((1.0, 0.5, 1.5, "1"), (0.0013, -0.0007, 0.0033, "1")))
 
 
 def _held(before_mm: float, after_mm: float, share: float) -> HeldOut:
@@ -21,7 +23,9 @@ def _held(before_mm: float, after_mm: float, share: float) -> HeldOut:
 
 def test_what_lowers_both_is_kept():
     assert _refused(_held(5.0, 4.0, 0.09), FITTED, SURE, ("a",)) == ""
-    assert _refused(_held(9.7, 4.9, 0.184), SimpleNamespace(share=0.78), SURE, ("a",)) == ""  # as diagnoses name it
+    assert (
+        _refused(_held(9.7, 4.9, 0.184), SimpleNamespace(share=0.78, columns=COLUMNS), SURE, ("a",)) == ""
+    )  # as diagnoses name it
     assert _refused(_held(5.0, 4.0, 0.09), FITTED, UNSURE, ()) == ""  # of its own parameters none need move
 
 
