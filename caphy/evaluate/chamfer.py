@@ -19,14 +19,11 @@ from caphy.body.surface import Surface
 from caphy.errors import CaphyError
 from caphy.evaluate.dressed import Dressed
 from caphy.report.render import vertex_normals
+from caphy.report.sight import visible
 from caphy.scan.scan import LABEL_NAMES, Scan
 
 SAMPLES: Final = 12_000
 """Points on predicted garments, those nobody can see among them."""
-LOOKS: Final = 40
-"""Directions that a point is looked at from."""
-GRAZING: Final = 0.2
-"""Cosine below which a look along the surface shows nothing."""
 LEAST_FACES: Final = 50
 """Triangles of clothes below which there is nothing to compare with."""
 
@@ -103,31 +100,16 @@ class ScanCloth:
 def visible_points(dressed: Dressed, vertices: np.ndarray, faces: np.ndarray, seed: int = 0) -> np.ndarray:
     """Points (N, 3) [m] spread evenly over a mesh of ``dressed``, without those that no scanner round it could see.
 
-    A point is seen if its outer side can be looked at from one of :data:`LOOKS` directions, the ground's left out,
-    with no body or cloth in between.
+    A point is seen if its outer side can be looked at with no body or cloth in between.
 
     Raises:
         CaphyError: nothing of it can be seen.
     """
     points, normals = surface_samples(vertices, faces, SAMPLES, seed)
-    seen = np.zeros(len(points), bool)
-    for direction in directions():
-        todo = np.flatnonzero(~seen & (normals @ direction > GRAZING))
-        origins = (points[todo] + 2e-4 * normals[todo]).astype(np.float32)
-        rays = np.ascontiguousarray(np.broadcast_to(direction.astype(np.float32), origins.shape))
-        seen[todo] = dressed.caster.run(origins, rays, query="OCCLUDED") != 0
+    seen = visible(points, normals, dressed.caster)
     if not seen.any():
         raise CaphyError("nothing of the predicted garments can be seen from outside: they lie within the body")
     return points[seen]
-
-
-def directions() -> np.ndarray:
-    """Unit vectors (LOOKS, 3) spread over the sphere, the steepest from below left out."""
-    step = np.arange(LOOKS) + 0.5
-    height = 1 - 1.6 * step / LOOKS
-    angle = np.pi * (1 + 5**0.5) * step
-    ring = np.sqrt(1 - height**2)
-    return np.stack([ring * np.cos(angle), height, ring * np.sin(angle)], axis=1)
 
 
 def surface_samples(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

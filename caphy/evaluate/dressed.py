@@ -19,6 +19,7 @@ from caphy.network.files import load_network
 from caphy.network.from_graph import network_of
 from caphy.network.garment_network import GarmentNetwork
 from caphy.register.subject import SUBJECT_BODY
+from caphy.report.sight import ray_caster
 from caphy.training.validate import static_drape
 
 KINDS: Final = ("upper", "lower")
@@ -124,9 +125,4 @@ class Dressed:
     @cached_property
     def caster(self) -> Any:
         """All surfaces together, ready for rays."""
-        from caphy.report.render import _embree_scene
-
-        meshes = [(self.body, self.body_faces), *self.garments.values()]
-        starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-        faces = np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=False)])
-        return _embree_scene(np.concatenate([vertices for vertices, _ in meshes]), faces)
+        return ray_caster([(self.body, self.body_faces), *self.garments.values()])

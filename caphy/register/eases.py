@@ -89,13 +89,15 @@ def hung_eases(
     most = np.array([MOST[name] for name in names])
     spread = np.array([HELD if name == "ease" and hasattr(style, "rise") else SPREAD[name] for name in names])
     usual = np.array([getattr(type(style), name) for name in names])
+    skins = [(figure.placed(placement).vertices, body.faces) for placement in placements]
     now, found = usual, []
     for number in range(ROUNDS):
         style = replace(style, **dict(zip(names, now.tolist(), strict=True)))
         (garment, cloth), seen = _coarse(style, body, model), []
-        for place, (placement, sheet) in enumerate(zip(placements, sheets, strict=True)):
+        for place, (placement, sheet, skin) in enumerate(zip(placements, sheets, skins, strict=True)):
             progress(f"{kind}: hung in scans", number * len(sheets) + place, ROUNDS * len(sheets))
-            seen.append(shown((hang or hung)(garment, cloth, body, placement, model), garment.faces, sheet))
+            lies = (hang or hung)(garment, cloth, body, placement, model)
+            seen.append(shown(lies, garment.faces, sheet, [skin]))
         seen = [each for each in seen if each.share > ENOUGH]
         if not seen:
             raise CaphyError(

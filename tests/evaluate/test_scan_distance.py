@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from caphy.errors import CaphyError
-from caphy.evaluate.chamfer import Chamfer, ScanCloth, directions, visible_points
+from caphy.evaluate.chamfer import Chamfer, ScanCloth, visible_points
 from caphy.evaluate.dressed import Dressed
 from caphy.scan.scan import BODY, LOWER, UPPER, Scan
 
@@ -91,10 +91,3 @@ def test_a_wrong_side_that_scans_cannot_show_does_not_count():
     scan = Scan("worn", vertices, faces.astype(np.int32), labels=np.where(below, LOWER, UPPER).astype(np.uint8))
     found = ScanCloth.of(scan, ("lower",)).chamfer(dressed, ("lower",))
     assert found.from_scan < 1e-6 and found.to_scan < 1e-6
-
-
-def test_directions_look_from_everywhere_but_below():
-    looks = directions()
-    assert np.linalg.norm(looks, axis=1) == pytest.approx(1)
-    assert looks[:, 1].min() > -0.65 and looks[:, 1].max() > 0.95
-    assert np.abs(looks[:, [0, 2]].mean(axis=0)).max() < 0.05

@@ -75,6 +75,25 @@ def test_what_no_camera_saw_is_no_lack_of_cloth():
     assert half.scanned.sum() / half.own.sum() == pytest.approx(whole.scanned.sum() / whole.own.sum(), abs=0.025)
 
 
+def test_what_no_camera_could_see_of_hung_cloth_is_no_surplus_of_it():
+    """A fold of 9 cm laid flat under its neighbour, of which a scan has nothing, though it has cloth near it; and what
+    a sleeve over the lower half covers."""
+    tuck, around, along = 0.6, 90, 24
+    run = np.arange(around) * (2 * np.pi + 2 * tuck) / around
+    knots = [0, 3, 3 + tuck, 2 * np.pi + 2 * tuck]  # there, back and there again
+    angle = np.interp(run, knots, [0, 3, 3 - tuck, 2 * np.pi])
+    r = np.interp(run, knots, [RADIUS, RADIUS, RADIUS - 0.004, RADIUS])
+    ring = np.stack([r * np.sin(angle), np.zeros(around), r * np.cos(angle)], axis=-1)
+    heights = np.linspace(0, HEIGHT, along)[:, None] * [0.0, 1.0, 0.0]
+    cloth = (ring[:, None] + heights).reshape(-1, 3), tube(plain, around, along)[1]
+
+    sheet = Sheet.of(scan(plain), "upper")
+    found = shown(*cloth, sheet)
+    assert found.scanned.sum() / found.own.sum() == pytest.approx(1.0, abs=0.02)  # 0.92 with the fold
+    sleeve = tube(lambda angle: plain(angle) + 0.01, 60, 20, HEIGHT / 2)
+    assert shown(*cloth, sheet, [sleeve]).own.sum() == pytest.approx(0.5 * found.own.sum(), rel=0.12)
+
+
 def test_a_scan_without_that_garment_shows_nothing():
     vertices, faces = tube(plain, 27, 17)
     found = shown(vertices, faces, Sheet.of(scan(plain), "lower"))
