@@ -1,7 +1,11 @@
-"""The Dockerfile's steps without an engine: what they make starts as nobody, on a tree it cannot write, and answers."""
+"""The Dockerfile's steps without an engine: what they make starts as nobody, on a tree it cannot write, and answers.
+
+It has the base dependencies alone, so these tests are also of what runs without torch.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -22,6 +26,8 @@ from service.protocol import MEDIA_TYPE, FramesRequest, decode_response, encode_
 
 ROOT = Path(__file__).parents[2]
 KEY = "docker-test-key"
+TWO_FRAMES = {"fps": 30, "poses": np.zeros((2, 55, 3)).tolist(), "transl": np.zeros((2, 3)).tolist()}
+JSON = {"content-type": "application/json", "authorization": f"Bearer {KEY}"}
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +74,18 @@ def test_it_is_small_and_nobodys(image):
         assert image.user in (image.root / "etc/passwd").read_text()
     installed = {path.name.lower() for path in image.root.glob("opt/caphy/lib/python3*/site-packages/*")}
     assert {"caphy", "service", "onnxruntime"} <= installed
-    assert not {"torch", "scipy", "onnx", "numba"} & installed
+    assert not {"torch", "scipy", "onnx", "numba", "embreex", "anny", "smplx"} & installed
     assert not (image.root / "src").exists()  # the sources stay in the first stage
+
+
+def test_the_command_line_says_what_is_missing(image):
+    command = [str(image.root / "opt/caphy/bin/python"), "-m", "caphy.cli", "export", "x", "-o", "y"]
+    found = subprocess.run(
+        command, env=image.environment, check=False, capture_output=True, text=True, cwd=image.folder
+    )
+    assert found.returncode == 2
+    assert "Traceback" not in found.stderr
+    assert "pip install" in found.stderr
 
 
 def test_without_a_key_it_does_not_start(image):
@@ -92,6 +108,15 @@ def test_it_answers_on_a_tree_it_cannot_write(image):
             meshes = decode_response(answer.read()).vertices
         assert {len(vertices) for vertices in meshes.values()} == {4}
         assert all(np.isfinite(vertices).all() for vertices in meshes.values())
+        with urlopen(Request(url, json.dumps(TWO_FRAMES).encode(), JSON), timeout=30) as answer:
+            told = json.load(answer)["garments"]
+        for name, vertices in meshes.items():
+            np.testing.assert_allclose(vertices[:2], told[name]["vertices"], atol=2e-5)
+        mesh = f"http://127.0.0.1:{port}/avatars/default/mesh?format=glb"
+        with urlopen(Request(mesh, headers=headers), timeout=30) as answer:
+            assert answer.read(4) == b"glTF"
+        with pytest.raises(HTTPError, match="422"):
+            urlopen(Request(url, b"nonsense", headers), timeout=30)
         with pytest.raises(HTTPError, match="401"):
             urlopen(Request(url, body, {"content-type": MEDIA_TYPE}), timeout=30)
         process.send_signal(signal.SIGTERM)

@@ -296,7 +296,10 @@ class Measurement:
 
     def _require_no_infinity(self) -> None:
         """Of vertices; what was not seen is NaN."""
-        if self.vertices is None or not (infinite := np.isinf(self.vertices).any(axis=-1)).any():
+        if self.vertices is None:
+            return
+        infinite = np.isinf(self.vertices).any(axis=-1) & (True if self.visibility is None else self.visibility)
+        if not infinite.any():
             return
         frame, vertex = map(int, np.argwhere(infinite)[0])
         raise self.error(
