@@ -75,10 +75,10 @@ class Caster:
 
     def __init__(self, scene: Scene, prints: Mapping[int, Print]) -> None:
         """``prints`` of the garments by the number of their label."""
-        from caphy.report.render import _embree_scene
+        from caphy.report.render import embree_scene
 
         self.scene, self.prints = scene, prints
-        self._embree = _embree_scene(scene.vertices, scene.faces)
+        self._embree = embree_scene(scene.vertices, scene.faces)
 
     def view(self, camera: Camera, size: tuple[int, int], random: np.random.Generator, noise: float) -> View:
         """What a camera of ``size`` (width, height) sees; depths have ``noise`` [m] where seen straight on."""

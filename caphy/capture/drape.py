@@ -149,9 +149,9 @@ def _settled(worn: Worn, motion: BodyMotion, skin: np.ndarray, guess: np.ndarray
 
 def _height(skin: np.ndarray, normals: np.ndarray, cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """How far out (B,) [m] cloth lies over each body vertex, less what contact keeps anyway; 0 where there is none."""
-    from caphy.report.render import _embree_scene
+    from caphy.report.render import embree_scene
 
-    found = _embree_scene(cloth, faces).run(
+    found = embree_scene(cloth, faces).run(
         np.ascontiguousarray(skin, dtype=np.float32), np.ascontiguousarray(normals, dtype=np.float32), output=True
     )
     over = (found["primID"] >= 0) & (found["tfar"] < FARTHEST)

@@ -84,7 +84,7 @@ class _Scene:
         self.colours = np.concatenate(
             [np.broadcast_to(np.asarray(s.colour, dtype=np.float32), (len(s.vertices), 3)) for s in shapes]
         )
-        self._embree = _embree_scene(self.vertices, self.faces)
+        self._embree = embree_scene(self.vertices, self.faces)
 
     def shade(
         self, eye: np.ndarray, rays: np.ndarray, light: np.ndarray, shadows: bool
@@ -118,7 +118,8 @@ def _interpolated(values: np.ndarray, corners: np.ndarray, weights: np.ndarray) 
     return np.einsum("kh,hkc->hc", weights, values[corners])
 
 
-def _embree_scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
+def embree_scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """A mesh of vertices (V, 3) [m] and faces (F, 3), ready for rays; raises CaphyError without the embreex package."""
     try:
         scene = import_module("embreex.rtcore_scene").EmbreeScene()
         mesh = import_module("embreex.mesh_construction").TriangleMesh

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from caphy.report.render import _embree_scene
+from caphy.report.render import embree_scene
 
 LOOKS: Final = 40
 """Directions that a point is looked at from."""
@@ -22,7 +22,7 @@ def ray_caster(meshes: Iterable[tuple[np.ndarray, np.ndarray]]) -> Any:
     kept = list(meshes)
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in kept)])
     faces = np.concatenate([faces + start for (_, faces), start in zip(kept, starts, strict=False)])
-    return _embree_scene(np.concatenate([vertices for vertices, _ in kept]), faces)
+    return embree_scene(np.concatenate([vertices for vertices, _ in kept]), faces)
 
 
 def visible(points: np.ndarray, normals: np.ndarray, rays: Any) -> np.ndarray:

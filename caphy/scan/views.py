@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from caphy.report.camera import Camera
-from caphy.report.render import _embree_scene
+from caphy.report.render import embree_scene
 from caphy.scan.scan import Scan
 
 RINGS: Final = ((-20.0, 10), (8.0, 12), (38.0, 10))
@@ -77,7 +77,7 @@ class ScanView:
 
 def scan_views(scan: Scan, size: tuple[int, int] = SIZE) -> Iterator[ScanView]:
     """The views of :data:`RINGS`, one after another."""
-    caster = _embree_scene(scan.vertices, scan.faces)
+    caster = embree_scene(scan.vertices, scan.faces)
     width, height = size
     for ring, (elevation, count) in enumerate(RINGS):
         for number in range(count):
