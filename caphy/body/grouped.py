@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.body.surface import NearestPoints, Surface, barycentric_on_triangle
+from caphy.body.surface import NearestPoints, Surface
 from caphy.body.triangle_tree import build_order
 from caphy.recorded import Recorded
 
@@ -65,7 +65,7 @@ class GroupedSurface:
         points, vertices = points - middle, vertices - middle
         corners, frame = vertices[:, self.faces], torch.arange(len(points), device=points.device)[:, None]
         own = corners[frame, face]
-        weights = barycentric_on_triangle(torch, points, *own.unbind(2))
+        weights = _barycentric(points, *own.unbind(2))
         nearest = (weights[..., None] * own).sum(-2)
         offset = points - nearest
         outward = self._pseudonormals(corners, vertices, frame, face, weights)
@@ -201,6 +201,32 @@ def _squares(
     inside = ((from_corner * inwards[group]).sum(-1) > 0).all(-1)
     height = (from_corner[..., 0, :] * normal[group]).sum(-1)
     return torch.where(inside, height.square(), beside.square().sum(-1).amin(-1))
+
+
+def _barycentric(p: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
+    """Weights (..., 3) of the point of triangle abc nearest to p: the inside solution, else the best edge's."""
+    ab, ac, ap = b - a, c - a, p - a
+    d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
+    d20, d21 = _dot(ap, ab), _dot(ap, ac)
+    scale = d00 * d11 - d01 * d01
+    flat = scale <= 0
+    scale = torch.where(flat, torch.ones_like(scale), scale)
+    v, w = (d11 * d20 - d01 * d21) / scale, (d00 * d21 - d01 * d20) / scale
+    inside = (v >= 0) & (w >= 0) & (v + w <= 1) & ~flat
+    best, best_square = torch.stack([1 - v - w, v, w], dim=-1), None
+    for i, j, start, along in ((0, 1, a, ab), (1, 2, b, c - b), (2, 0, c, -ac)):
+        length = _dot(along, along)
+        t = _dot(p - start, along) / torch.where(length > 0, length, torch.ones_like(length))
+        t = torch.minimum(torch.maximum(t, torch.zeros_like(t)), torch.ones_like(t))  # a clip waits for a GPU
+        offset = p - start - t[..., None] * along
+        square = _dot(offset, offset)
+        columns = [torch.zeros_like(t)] * 3
+        columns[i], columns[j] = 1 - t, t
+        edge = torch.stack(columns, dim=-1)
+        better = ~inside if best_square is None else ~inside & (square < best_square)
+        best_square = square if best_square is None else torch.minimum(square, best_square)
+        best = torch.where(better[..., None], edge, best)
+    return best
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:

@@ -100,36 +100,6 @@ def nearest_on_surface(points: np.ndarray, vertices: np.ndarray, faces: np.ndarr
     return Surface.of(faces, vertices).nearest(points, vertices)
 
 
-def _dot(xp: Any, a: Array, b: Array) -> Array:
-    return xp.sum(a * b, axis=-1)
-
-
-def barycentric_on_triangle(xp: Any, p: Array, a: Array, b: Array, c: Array) -> Array:
-    """Weights (..., 3) of the point of triangle abc nearest to p: the inside solution, else the best edge's."""
-    ab, ac, ap = b - a, c - a, p - a
-    d00, d01, d11 = _dot(xp, ab, ab), _dot(xp, ab, ac), _dot(xp, ac, ac)
-    d20, d21 = _dot(xp, ap, ab), _dot(xp, ap, ac)
-    scale = d00 * d11 - d01 * d01
-    flat = scale <= 0
-    scale = xp.where(flat, xp.ones_like(scale), scale)
-    v, w = (d11 * d20 - d01 * d21) / scale, (d00 * d21 - d01 * d20) / scale
-    inside = (v >= 0) & (w >= 0) & (v + w <= 1) & ~flat
-    best, best_square = xp.stack([1 - v - w, v, w], axis=-1), None
-    for i, j, start, along in ((0, 1, a, ab), (1, 2, b, c - b), (2, 0, c, -ac)):
-        length = _dot(xp, along, along)
-        t = _dot(xp, p - start, along) / xp.where(length > 0, length, xp.ones_like(length))
-        t = xp.minimum(xp.maximum(t, xp.zeros_like(t)), xp.ones_like(t))  # a clip of a tensor waits for a GPU
-        offset = p - start - t[..., None] * along
-        square = _dot(xp, offset, offset)
-        columns = [xp.zeros_like(t)] * 3
-        columns[i], columns[j] = 1 - t, t
-        edge = xp.stack(columns, axis=-1)
-        better = ~inside if best_square is None else ~inside & (square < best_square)
-        best_square = square if best_square is None else xp.minimum(square, best_square)
-        best = xp.where(better[..., None], edge, best)
-    return best
-
-
 def _neighbours(faces: np.ndarray) -> np.ndarray:
     """Face across the edge opposite to each corner, or -1, (F, 3)."""
     edges = np.stack([faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]], axis=1).reshape(-1, 2)

@@ -229,7 +229,7 @@ def _check_one(name: str) -> int:
     rightly = [key for key in failed if key in names and key not in (*lacks, *broke)]
     if rightly and not _ALWAYS.intersection(failed):
         print(
-            f"mend it; only where physics wants it so may the effect say so, with the reason: "
+            "mend it; only where physics wants it so may the effect say so, with the reason: "
             f'lacks = {{"{rightly[0]}": "the reason, in words"}}'
         )
     return len(failed)
