@@ -31,10 +31,9 @@ from caphy.report.render import vertex_normals
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.training.motions import Motions
-from caphy.training.objective import Objective
+from caphy.training.objective import Objective, ground_energies
 from caphy.training.overtrain import overtrain
 from caphy.training.reference import correct, solve, solve_from, step_energies
-from caphy.training.validate import ground_energies
 
 FPS = 30.0
 

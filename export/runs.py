@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
+from caphy.io.poses.parts import file_of
 from caphy.network.files import load_network
 from caphy.network.garment_network import GarmentNetwork
 
@@ -29,20 +30,20 @@ VALIDATION = "validation.json"
 class Run:
     """A trained network, its garment, how it was trained, and what was measured on held-out clips.
 
-    betas: body shape (S,) that it was trained on, or none. held_out: pose files that it did not see, as far as they
-    still exist.
+    betas: body shape (S,) that it was trained on, or none. held_out: sources of motions that it did not see
+    (:mod:`caphy.io.poses.parts`), as far as their files still exist.
     """
 
     garment: Garment
     network: GarmentNetwork
     betas: np.ndarray | None
-    held_out: tuple[Path, ...]
+    held_out: tuple[str, ...]
     provenance: Mapping[str, Any]
     metrics: Mapping[str, Any]
 
 
-def read_run(folder: Path) -> Run:
-    """Read a folder that ``caphy train`` wrote.
+def read_run(folder: Path, say: Callable[[str], None] = print) -> Run:
+    """Read a folder that ``caphy train`` wrote; ``say`` is told what in it is of another network.
 
     Raises
         CaphyError: where garment and network are missing or differ, or what was measured of them is not finite.
@@ -54,7 +55,7 @@ def read_run(folder: Path) -> Run:
     ):
         raise CaphyError(f"{folder}: {GARMENT} is not the garment that {NETWORK} was trained on; train again")
     settings, model = _json(folder / SETTINGS), _json(folder / MODEL)
-    held_out = tuple(path for path in map(Path, settings.pop("held_out_paths", [])) if path.exists())
+    held_out = tuple(name for name in settings.pop("held_out_paths", []) if Path(file_of(name)).is_file())
     settings.pop("body", None)  # a path on the machine it was trained on
     digest = hashlib.sha256((folder / NETWORK).read_bytes()).hexdigest()
     provenance = {
@@ -64,15 +65,15 @@ def read_run(folder: Path) -> Run:
         "network_sha256": digest,
     }
     betas = np.array(settings["betas"]) if settings.get("betas") else None
-    return Run(garment, network, betas, held_out, provenance, _measured(folder))
+    return Run(garment, network, betas, held_out, provenance, _measured(folder, digest, say))
 
 
 def _json(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text()) if path.is_file() else {}
 
 
-def _measured(folder: Path) -> dict[str, Any]:
-    """The trainer's last validation, and what ``caphy validate`` found beside the solver."""
+def _measured(folder: Path, digest: str, say: Callable[[str], None]) -> dict[str, Any]:
+    """The trainer's last validation, and what ``caphy validate`` found beside the solver of the network of a digest."""
     path = folder / METRICS
     lines = path.read_text().splitlines() if path.is_file() else []
     validations = [line for line in lines if '"validation"' in line]
@@ -84,6 +85,9 @@ def _measured(folder: Path) -> dict[str, Any]:
             "nothing. Check the garment with 'caphy garment info' and the model's parameters, and train again"
         )
     beside = _json(folder / VALIDATION)
+    if beside and beside.pop("network_sha256", None) != digest:
+        say(f"note: {folder / VALIDATION} is of another network and left out; measure this one with 'caphy validate'")
+        beside = {}
     return last | ({"beside_solver": beside} if beside else {})
 
 

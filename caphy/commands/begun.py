@@ -50,13 +50,35 @@ def told(options: Train) -> dict[str, Any]:
     return {field.name: plain(getattr(options, field.name)) for field in fields(options)}
 
 
+def copied(folder: Path, to: Path) -> str:
+    """The options of the training in a folder, as they read in another: paths relative to the first are of the second
+    where that lies in the same run, and whole where it does not."""
+    from caphy.commands.train import Train
+
+    folder, to = folder.resolve(), to.resolve()
+    given = json.loads((folder / OPTIONS).read_text())
+    run = Path(os.path.normpath(folder / given["scans"])) if given.get("scans") else None
+
+    def moved(value: Any) -> Any:
+        if isinstance(value, list):
+            return [moved(one) for one in value]
+        if not isinstance(value, str) or Path(value).is_absolute():
+            return value
+        path = os.path.normpath(folder / value)
+        return os.path.relpath(path, to) if run is not None and to.is_relative_to(run) else path
+
+    paths = {field.name for field in fields(Train) if "Path" in str(field.type)}
+    return json.dumps({name: moved(value) if name in paths else value for name, value in given.items()}, indent=2)
+
+
 def contents(options: Train, trained: Sequence[PoseSequence]) -> dict[str, str]:
     """Digests of what options name by path alone: motions, the code of own effects, the body, the points of scans."""
     from caphy.body.model import BodyModel
+    from caphy.io.poses.parts import file_of
     from caphy.kept import code, digest
     from caphy.register.points import read_points
 
-    read = [(clip.poses, clip.transl, clip.fps) for clip in trained if Path(clip.source).is_file()]
+    read = [(clip.poses, clip.transl, clip.fps) for clip in trained if Path(file_of(clip.source)).is_file()]
     found = {"motions": digest(read), "effect files": digest(code(options.effect_file))}
     if options.body is not None:
         found["arrays of the body"] = digest(BodyModel.load(options.body))
@@ -82,7 +104,7 @@ def _parted(
 ) -> str:
     """With what else a training was begun, in words; empty where all is the same."""
     from caphy.effects.model import Model
-    from caphy.garment.template import Garment
+    from caphy.garment.template import REALS, Garment
 
     now, folder = told(options), options.output.resolve()
     may = {"resume", "output", "minutes", "steps", "device", "poses", "garment", "effect_file"}
@@ -94,8 +116,9 @@ def _parted(
     worn, names = Garment.load(options.output / GARMENT), [Path(clip.source).name for clip in trained]
     if worn.vertices.shape != garment.vertices.shape or not (worn.faces == garment.faces).all():
         return f"on another garment, of {len(worn.vertices)} vertices"
-    if not np.allclose(worn.vertices, garment.vertices, rtol=0, atol=1e-6):
-        return "on a garment of the same mesh and another shape"
+    for name, what in (("vertices", "another shape"), *((name, f"other {name}") for name in REALS)):
+        if not np.allclose(getattr(worn, name), getattr(garment, name), rtol=0, atol=1e-6):
+            return f"on a garment of the same mesh and {what.replace('_', ' ')}"
     if clips != names:
         one = next((name for name in (*clips, *names) if name not in clips or name not in names), "in another order")
         return f"on other motions, {len(clips)} in all, not {len(names)} ({one})"

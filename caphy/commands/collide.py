@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from caphy.commands.begun import OPTIONS, copied
+from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 
 if TYPE_CHECKING:
     from caphy.training.collide import Collider
@@ -38,6 +41,7 @@ def main(arguments: list[str]) -> int | None:
     options = tyro.cli(Collide, args=arguments, prog="caphy collide", config=(tyro.conf.OmitArgPrefixes,))
     if options.epochs < 1:
         raise CaphyError(f"--epochs must be positive, got {options.epochs}")
+    require_seed(options.seed)
     if (options.output / "checkpoint.safetensors").exists() and not options.resume:
         raise CaphyError(f"{options.output} holds a fine-tuning already: add --resume, or give another folder with -o")
     collider = prepare(options)
@@ -60,14 +64,18 @@ def prepare(options: Collide) -> Collider:
     names = [folder.resolve().name for folder in options.trainings]
     if len(set(names)) < len(names):
         raise CaphyError(f"the folders' own names must differ, got {', '.join(names)}")
+    for folder, name in zip(options.trainings, names, strict=True):
+        if folder.resolve() == (options.output / name).resolve():
+            raise CaphyError(f"{options.output}: {folder} lies there, which is only read; give another folder with -o")
     trainers = [reopen(folder) for folder in options.trainings]
     order = sorted(range(len(names)), key=lambda i: not _hidden(trainers[i]))
     folders, names = [options.trainings[i] for i in order], [names[i] for i in order]
     collider = Collider(options.output, names, [trainers[i] for i in order], options.epochs, options.seed)
     for folder, name in zip(folders, names, strict=True):
         (options.output / name).mkdir(parents=True, exist_ok=True)
-        for kept in ("garment.npz", "model.json", "run.json", "options.json"):
+        for kept in ("garment.npz", "model.json", "run.json"):
             shutil.copyfile(folder / kept, options.output / name / kept)
+        write_text(options.output / name / OPTIONS, copied(folder, options.output / name))
     print(f"from the inside out: {', '.join(names)}; {collider.schedule.steps} steps")
     return collider
 

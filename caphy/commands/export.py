@@ -138,7 +138,7 @@ def _export_runs(command: Export) -> None:
     body = default_body("fine") if command.body is None else BodyModel.load(command.body)
     runs = [read_run(folder) for folder in command.runs]
     _require_one_body(runs, body)
-    fitted, held_out = _motions(command.motions or _held_out(runs))
+    fitted, held_out = _motions(tuple(map(str, command.motions)) or _held_out(runs))
     garments = []
     for run in runs:
         garment, metrics = bundled_garment(run.garment, run.network, fitted, held_out)
@@ -168,8 +168,8 @@ def _export_runs(command: Export) -> None:
     print(f"next: {following('demo', '--avatar', command.out)}")
 
 
-def _held_out(runs: list[Run]) -> tuple[Path, ...]:
-    return tuple(dict.fromkeys(path for run in runs for path in run.held_out))
+def _held_out(runs: list[Run]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for run in runs for name in run.held_out))
 
 
 def _require_one_body(runs: list[Run], body: BodyModel) -> None:
@@ -191,17 +191,17 @@ def _require_one_body(runs: list[Run], body: BodyModel) -> None:
             )
 
 
-def _motions(paths: tuple[Path, ...]) -> tuple[list[PoseSequence], list[PoseSequence]]:
+def _motions(sources: tuple[str, ...]) -> tuple[list[PoseSequence], list[PoseSequence]]:
     """Motions to fit the head on, and others, every third of those given, to state its error on."""
-    from caphy.io.poses import read_poses
+    from caphy.io.poses.parts import part, read_part
     from caphy.io.procedural import procedural_motion
 
-    if not paths:
+    if not sources:
         made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
         return made[:4], made[4:]
-    motions = [read_poses(path) for path in paths]
+    motions = [read_part(source) for source in sources]
     if len(motions) == 1:
-        middle = len(motions[0]) // 2
-        motions = [motions[0][:middle], motions[0][middle:]]
+        middle, end = len(motions[0]) // 2, len(motions[0])
+        motions = [part(motions[0], 0, middle), part(motions[0], middle, end)]
     held_out = motions[1::3]
     return [procedural_motion(seconds=20.0), *(motion for motion in motions if motion not in held_out)], held_out

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from caphy.commands.following import following
+from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -91,6 +92,7 @@ def _check(options: Fit) -> None:
     from caphy.commands.fit_scans import SCANS
     from caphy.material.fabrics import fabric
 
+    require_seed(options.seed)
     for name in ("minutes", "steps", "fabric_rounds", "collision_epochs"):
         value = getattr(options, name)
         if value is not None and not value > 0:

@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from caphy.commands.body import load_body
+from caphy.commands.seed import require_seed
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.kept import Kept, digest
@@ -378,6 +379,7 @@ def _points(command: Points) -> None:
     from caphy.register.subject import write_subject_body
     from caphy.scan.scan_set import ScanSet
 
+    require_seed(command.seed)
     fit = read_fit(command.output / "body.npz", load_body(command.body))
     scans = ScanSet.read(command.scans, command.labels)
     path = write_subject_body(fit, command.output)

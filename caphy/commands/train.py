@@ -14,6 +14,7 @@ import tyro
 from caphy.commands.begun import OPTIONS, option, require_same, write_record
 from caphy.commands.bundled import bundled
 from caphy.commands.following import following
+from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -31,7 +32,7 @@ FPS = 30.0
 """Frame rate that networks run at [Hz]."""
 
 PROCEDURAL = tuple(range(12))
-"""Seeds of the motions trained on where none are given; the last two are held out."""
+"""Seeds of the motions that there are where none are given; every sixth is held out."""
 
 
 BODY_EFFECTS = ("body_contact", "attachment")
@@ -136,8 +137,7 @@ def _check(options: Train) -> None:
         raise CaphyError("give either --fabric or --model, not both")
     if options.init and options.transfer:
         raise CaphyError("give either --init, to go on with a network, or --transfer, to begin as another's, not both")
-    if not 0 <= options.seed < 1 << 63:
-        raise CaphyError(f"--seed must be from 0 to 2^63 - 1, got {options.seed}")
+    require_seed(options.seed)
     if options.made_up < 0:
         raise CaphyError(f"--made-up must not be negative, got {options.made_up}")
     if not options.physics and options.scans is None:
@@ -338,6 +338,7 @@ def _on_body(model: Model, initial: Initial | None, options: Train) -> Model:
 
 def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
     """Motions to train on and motions held out."""
+    from caphy.io.poses.parts import file_of, part
     from caphy.io.procedural import procedural_motion
     from caphy.training.motions import find_poses
 
@@ -345,12 +346,12 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
     extra = [procedural_motion(seed, 20.0, FPS) for seed in range(MADE_UP, MADE_UP + options.made_up)]
     if options.held_out:
         unseen = find_poses(options.held_out)
-        names = {Path(clip.source).resolve() for clip in unseen}
-        trained = [clip for clip in clips if Path(clip.source).resolve() not in names] + extra
+        names = {Path(file_of(clip.source)).resolve() for clip in unseen}
+        trained = [clip for clip in clips if Path(file_of(clip.source)).resolve() not in names] + extra
         if not trained:
             raise CaphyError("all motions are held out, so there is none to train on; give others")
         return trained, unseen
     if len(clips) < 6:
         last, cut = clips[-1], max(1, int(0.8 * len(clips[-1])))
-        return [*clips[:-1], last[:cut], *extra], [last[cut:] if cut < len(last) else last]
+        return [*clips[:-1], part(last, 0, cut), *extra], [part(last, cut, len(last)) if cut < len(last) else last]
     return [clip for i, clip in enumerate(clips) if i % 6 != 5] + extra, clips[5::6]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
 import time
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from caphy.commands.begun import OPTIONS, option
 from caphy.commands.following import following
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 
 if TYPE_CHECKING:
     from caphy.io.poses import PoseSequence
@@ -41,7 +43,8 @@ def main(arguments: list[str]) -> None:
     """Entry point of ``caphy validate``."""
     options = tyro.cli(Validate, args=arguments, prog="caphy validate")
     settings = _settings(options.run)
-    clips = _clips(options, settings)
+    if not options.seconds > 0.1:
+        raise CaphyError(f"--seconds must be more than 0.1, got {options.seconds}")
 
     import numpy as np
     import torch
@@ -54,14 +57,16 @@ def main(arguments: list[str]) -> None:
     from caphy.effects.potential import Potential
     from caphy.garment.template import Garment
     from caphy.network.files import load_network
+    from caphy.training.loop import NETWORK
     from caphy.training.reference import Comparison, compare_with_solver
     from caphy.training.validate import stream_drift
 
     for file in options.effect_file:
         use_file(file)
-    network = load_network(options.run / "network.safetensors")
+    network = load_network(options.run / NETWORK)
+    clips = _clips(options, settings, network.fps)
     garment, model = Garment.load(options.run / "garment.npz"), Model.load(options.run / "model.json")
-    body = BodyModel.load(Path(settings["body"])) if settings.get("body") else default_body()
+    body = default_body() if (own := _body(options.run)) is None else BodyModel.load(own)
     betas = np.array(settings["betas"]) if settings.get("betas") else None
     potential = Potential(model, Cloth.of(garment, model.density))
 
@@ -78,10 +83,9 @@ def main(arguments: list[str]) -> None:
     poses, transl = (torch.tensor(a, dtype=torch.float32) for a in (motion.poses, motion.transl))
     report["drift_mm"] = 1e3 * stream_drift(network, poses, transl, options.frames)
     report["drift_frames"] = options.frames
+    report["network_sha256"] = hashlib.sha256((options.run / NETWORK).read_bytes()).hexdigest()
     print(f"all: {_line(report)}; drift over {options.frames} frames {report['drift_mm']:.2g} mm")
-    temporary = options.run / (REPORT + ".tmp")
-    temporary.write_text(json.dumps(report, indent=2) + "\n")
-    os.replace(temporary, options.run / REPORT)
+    write_text(options.run / REPORT, json.dumps(report, indent=2) + "\n")
     export = following("export", options.run, "-o", f"avatars/{options.run.name}")
     print(f"wrote {options.run / REPORT}\nnext: {export}")
 
@@ -101,13 +105,25 @@ def _settings(run: Path) -> dict:
         raise CaphyError(f"{run}: is not a folder that 'caphy train' wrote: {error}") from error
 
 
-def _clips(options: Validate, settings: dict) -> list[PoseSequence]:
-    from caphy.io.poses import read_poses
+def _body(run: Path) -> Path | None:
+    """The body that a training was on, if it was one of its own."""
+    given = json.loads((run / OPTIONS).read_text()).get("body")
+    return None if given is None else option(Path, given, run.resolve())
 
-    if not options.seconds > 0.1:
-        raise CaphyError(f"--seconds must be more than 0.1, got {options.seconds}")
-    recorded = dict.fromkeys(Path(name.split("#")[0]) for name in settings.get("held_out_paths", []))
-    paths = options.poses or [path for path in recorded if path.exists()]
-    if not paths:
+
+def _clips(options: Validate, settings: dict, fps: float) -> list[PoseSequence]:
+    """Motions of 2 frames or more at a rate [Hz]."""
+    from caphy.io.poses import read_poses
+    from caphy.io.poses.parts import file_of, read_part
+
+    if options.poses:
+        clips = [read_poses(path) for path in options.poses]
+        for clip in clips:
+            if len(clip.resample(fps)) < 2:
+                raise CaphyError(f"{clip.source}: must have 2 frames or more at {fps:g} fps; give a longer motion")
+        return clips
+    there = [name for name in settings.get("held_out_paths", []) if Path(file_of(name)).is_file()]
+    clips = [clip for clip in map(read_part, there) if len(clip.resample(fps)) >= 2]
+    if not clips:
         raise CaphyError(f"{options.run}: none of the motions held out of training is there any more; give pose files")
-    return [read_poses(path) for path in paths]
+    return clips

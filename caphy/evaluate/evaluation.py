@@ -66,6 +66,8 @@ class Evaluation:
     def document(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
         names = sorted(set(self.classes.values()))
+        scored = {scan for seeds in self.scores.values() for scans in seeds.values() for scan in scans}
+        done = [name for name in self.classes if name in scored]
         return {
             "format": FORMAT,
             "definition": DEFINITION,
@@ -74,7 +76,7 @@ class Evaluation:
             else f"{self.look.name}: {self.look.definition}; mean over the pixels "
             "where scan or prediction shows somebody, four sides, both in the colours of labels",
             "trained_on": self.trained_on,
-            "scans": {n: {"class": c, "pose_distance_degrees": self.distances[n]} for n, c in self.classes.items()},
+            "scans": {n: {"class": self.classes[n], "pose_distance_degrees": self.distances[n]} for n in done},
             "left_out": self.left_out,
             "rows": [self._row(row, names) for row in self.rows],
             "paper_mm": {name: list(values) for name, values in PAPER.items()},

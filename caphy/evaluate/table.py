@@ -27,7 +27,8 @@ def table_lines(document: Mapping[str, Any]) -> list[str]:
     lines += ["", "Chamfer [mm] by motion class:", *_aligned([class_heads, *by_class])]
     lines += ["in brackets the scans, and the mean joint angle to the nearest trained pose"]
     absent = [f"  {row['name']}: {row['missing']}" for row in rows if row["missing"]]
-    absent += [f"  {scan}: {why}" for scan, why in document["left_out"].items() if scan in document["scans"]]
+    names = {row["name"] for row in rows}
+    absent += [f"  {scan}: {why}" for scan, why in document["left_out"].items() if scan not in names]
     absent += [
         f"  {row['name']}, one seed: {document['left_out'][row['name']]}"
         for row in rows

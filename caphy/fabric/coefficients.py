@@ -48,6 +48,8 @@ class Coefficients:
         names = [name for name in ELASTIC if name in model.effects]
         if not names:
             raise CaphyError(f"the model must have one of {', '.join(ELASTIC)} to be fitted; it has none of them")
+        if not set(names) & set(ELASTIC[:2]):
+            raise CaphyError(f"the model must have {' or '.join(ELASTIC[:2])}: cloth without them stretches freely")
         columns = tuple(
             Column(name, key, tuple(map(int, entry)))
             for name in names

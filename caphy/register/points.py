@@ -80,8 +80,8 @@ class ScanPoints:
 def write_points(fit: BodyFit, scans: ScanSet, run: Path, seed: int = 0, progress: Progress = quiet) -> dict[str, str]:
     """Write ``points/NAME.npz`` of every fitted scan and ``split.json`` into a run's folder.
 
-    A split that is there already and names the same scans is kept: held-out scans stay held out, and a split made by
-    other means (by motion, say) is respected.
+    A split that is there already is kept for the scans that it names, if it names all: held-out scans stay held out,
+    and a split made by other means (by motion, say) is respected.
 
     Returns:
         The scans that could not be read, name -> why; the rest is written.
@@ -101,8 +101,10 @@ def write_points(fit: BodyFit, scans: ScanSet, run: Path, seed: int = 0, progres
             failures[name] = str(error)
     if not written:
         raise CaphyError("none of the scans can be used:\n" + "\n".join(failures.values()))
-    if not _covers(run / SPLIT, written):
-        write_text(run / SPLIT, json.dumps(split(written, seed), indent=1))
+    there = read_split(run) if (run / SPLIT).is_file() else None
+    kept = (there and _of_these(there, written)) or split(written, seed)
+    if kept != there:
+        write_text(run / SPLIT, json.dumps(kept, indent=1))
     return failures
 
 
@@ -142,9 +144,8 @@ def read_points(run: Path, part: Part) -> list[ScanPoints]:
     return [ScanPoints.load(run / FOLDER / f"{name}.npz") for name in read_split(run)[part]]
 
 
-def _covers(path: Path, names: Sequence[str]) -> bool:
-    """Whether a split is there that names exactly these scans."""
-    if not path.is_file():
-        return False
-    known = read_split(path.parent)
-    return sorted(known["train"] + known["held_out"]) == sorted(names)
+def _of_these(known: dict[Part, list[str]], names: Sequence[str]) -> dict[Part, list[str]] | None:
+    """What a split says of some scans, if it knows each of them and no side is left without any."""
+    kept = {part: [name for name in given if name in set(names)] for part, given in known.items()}
+    emptied = any(known[part] and not kept[part] for part in known)
+    return None if emptied or len(kept["train"] + kept["held_out"]) < len(names) else kept

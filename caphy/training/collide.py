@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
+from caphy.kept import digest
 from caphy.network.files import save_network
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
 from caphy.training.layers import Layers
@@ -53,7 +54,8 @@ class Collider:
     """Several trainings gone on with together: each one's own loss, and the contact of any two garments.
 
     Steps on random poses and on the scans' poses take turns; all garments wear the same pose. Without scans, or where
-    one garment has none, all steps are on random poses; scans that not all were trained on are passed over.
+    one garment has none, all steps are on random poses; where scans came without physics none are. Scans that not all
+    were trained on are passed over.
     """
 
     def __init__(
@@ -77,11 +79,15 @@ class Collider:
             for group in training.optimizer.param_groups
         ]
         self.optimizer = torch.optim.AdamW(groups, betas=(0.9, 0.99), fused=True)
-        self.turns = [_random_tracks(trainings, streams, seed)]
+        self.inputs = _inputs(trainings, seed)
+        """A digest of what the fine-tuning begins with."""
         scans, steps = [t.scans for t in trainings if t.scans is not None], 0
-        if len(scans) == len(trainings):
+        shown = len(scans) == len(trainings)
+        taught = all(each.loss.physics for each in scans)  # scans alone have no physics to show on random poses
+        self.turns = [_random_tracks(trainings, streams, seed)] if taught or not shown else []
+        if shown:
             self.turns.append(_scan_tracks(trainings, scans, streams, seed))
-            steps = -(-len(self.turns[1][0].motions) * HELD_WINDOWS // streams)
+            steps = -(-len(self.turns[-1][0].motions) * HELD_WINDOWS // streams)
         self.epoch_steps = len(self.turns) * max(steps, LEAST_STEPS)
         """Steps of an epoch, those on random poses and those on scans."""
         self.schedule = Schedule(epochs * self.epoch_steps, None, streams, LEARNING_RATE, warm_up=20)
@@ -171,6 +177,7 @@ class Collider:
             for key, value in track.state().items()
         }
         progress = {"done": self.done, "seconds": self.seconds, "names": self.names, "steps": self.schedule.steps}
+        progress["inputs"] = self.inputs
         save_checkpoint(self.folder, self._modules(), self.optimizer, states, progress)
 
     def resume(self) -> None:
@@ -184,6 +191,11 @@ class Collider:
         for what, own in (("names", self.names), ("steps", self.schedule.steps)):
             if progress[what] != own:
                 raise CaphyError(f"{self.folder}: its checkpoint is of {what} {progress[what]}, not {own}")
+        if progress.get("inputs", self.inputs) != self.inputs:
+            raise CaphyError(
+                f"{self.folder}: its checkpoint is of other networks, models, motions, scans or another seed; go on "
+                "with the same, or begin anew in another folder"
+            )
         for turn, tracks in enumerate(self.turns):
             for layer, track in enumerate(tracks):
                 prefix = f"{turn}.{layer}."
@@ -212,6 +224,17 @@ class Collider:
             f"epoch {self.done // self.epoch_steps}  loss {loss:.4f} J  contact between garments {contact:.2g} J  "
             f"{frames:.0f} frames/s  {left:.0f} min left"
         )
+
+
+def _inputs(trainings: Sequence[Trainer], seed: int) -> str:
+    def of(training: Trainer) -> tuple:
+        network = {name: value.cpu().numpy() for name, value in training.network.state_dict().items()}
+        potential, motions, scans = training.objective.potential, training.track.motions, training.scans
+        cloth = potential.cloth.vertices, potential.cloth.faces, potential.cloth.mass, potential.model.to_json()
+        seen = None if scans is None else (scans.motions.names, [target.sample for target in scans.loss.targets])
+        return network, cloth, (motions.poses, motions.transl, motions.starts), seen
+
+    return digest(seed, [of(training) for training in trainings])
 
 
 def _random_tracks(trainings: Sequence[Trainer], streams: int, seed: int) -> list[Track]:

@@ -17,6 +17,7 @@ from caphy.body.model import BodyModel
 from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence, read_poses
+from caphy.io.poses.parts import part
 from caphy.network.features import pose_features, rest_state
 from caphy.rotations import matrix_from_axis_angle
 
@@ -42,7 +43,8 @@ def find_poses(paths: Iterable[Path], say: Callable[[str], None] = print) -> lis
     AMC files do not say their frame rate: in folders they are passed over, and ``say`` is told which.
 
     Raises
-        CaphyError: if a path does not exist, a folder holds no pose file, or a file cannot be read.
+        CaphyError: if a path does not exist, a folder holds no pose file, a file cannot be read, or its poses are in a
+            camera's frame.
     """
     files: list[Path] = []
     for path in paths:
@@ -56,7 +58,16 @@ def find_poses(paths: Iterable[Path], say: Callable[[str], None] = print) -> lis
         elif not inside:
             raise CaphyError(f"{path}: holds no pose file ({', '.join(POSE_SUFFIXES)})")
         files += inside
-    return [part for file in files for part in continuous_parts(replace(read_poses(file), source=str(file)))]
+    return [each for file in files for each in continuous_parts(_upright(replace(read_poses(file), source=str(file))))]
+
+
+def _upright(sequence: PoseSequence) -> PoseSequence:
+    if sequence.frame == "camera":
+        raise CaphyError(
+            f"{sequence.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; give "
+            "poses in the world's, or leave the file out"
+        )
+    return sequence
 
 
 def continuous_parts(sequence: PoseSequence, least: float = 0.5) -> list[PoseSequence]:
@@ -64,8 +75,7 @@ def continuous_parts(sequence: PoseSequence, least: float = 0.5) -> list[PoseSeq
     cuts = [0, *sorted({jump.frame for jump in sequence.jumps()}), len(sequence)]
     if len(cuts) == 2:
         return [sequence]
-    parts = [sequence[a:b] for a, b in pairwise(cuts) if b - a >= least * sequence.fps]
-    return [replace(p, source=f"{sequence.source}#{number}") for number, p in enumerate(parts, 1)]
+    return [part(sequence, a, b) for a, b in pairwise(cuts) if b - a >= least * sequence.fps]
 
 
 def mirrored(sequence: PoseSequence) -> PoseSequence:

@@ -58,7 +58,8 @@ class Objective:
         self._move = Recorded(self._moved)
 
     def __call__(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Past]:
-        """Potential (B, K) [J] of the scored frames, and the streams' past after the windows.
+        """Potential (B, K) [J] of the scored frames, weight relative to the skinned template's, and the streams' past
+        after the windows.
 
         Args:
             offsets: predicted canonical offsets [m], (B, T, V, 3).
@@ -70,7 +71,9 @@ class Objective:
     def judge(self, motions: Motions, windows: Windows, offsets: Tensor, past: Past) -> tuple[Tensor, Tensor, Past]:
         """As calling it, with the positions (B, K, V, 3) [m] of the scored frames before the potential."""
         scene, past = self.scene(motions, windows, offsets, past)
-        return scene.x, self.potential.loss(scene.x, scene.step, scene.body), past
+        with torch.no_grad():
+            ground = sum(ground_energies(self.potential, scene.body.anchor).values())
+        return scene.x, self.potential.loss(scene.x, scene.step, scene.body) - ground, past
 
     def under(self, potential: Potential) -> Objective:
         """The same with another physics of the same cloth."""
@@ -82,8 +85,7 @@ class Objective:
         """The scored frames at offsets (B, T, V, 3), and the streams' past after the windows."""
         device = self.template.device
         frames = torch.from_numpy(np.concatenate([windows.before[:, None], windows.frames], 1))
-        fresh, held, scored = (torch.from_numpy(part) for part in (windows.fresh, windows.held, windows.scored))
-        still = held[:, None] | (fresh[:, None] & (scored == 0))
+        fresh, still, scored = (torch.from_numpy(part) for part in (windows.fresh, windows.still, windows.scored))
         given = [part.to(device) for part in (motions.transforms[frames], fresh, still, scored)]
         moved = self._move(offsets, past.before, past.previous, *given)
         turned, now, previous, before, anchor, *past_after = moved
@@ -114,10 +116,22 @@ class Objective:
     def body_state(self, motions: Motions, windows: Windows, x: Tensor, anchor: Tensor) -> BodyState:
         """What the vertices at x (B, K, V, 3) see of the body in the scored frames, moving as since the last frame."""
         frames = np.take_along_axis(windows.frames, windows.scored, 1).reshape(-1)
-        last = frames - np.repeat(~windows.held, windows.scored.shape[1])
+        last = frames - ~windows.still.reshape(-1)
         seen = self.seen(motions, frames, last, x.flatten(0, 1), self.dt)
         point, normal, velocity = (each.unflatten(0, x.shape[:2]) for each in seen)
         return BodyState(point, normal, velocity, anchor)
+
+
+def ground_energies(potential: Potential, anchor: Tensor) -> dict[str, Tensor]:
+    """Energies at the skinned template (..., V, 3) [m] that depend on where in the world it is, name -> (...,) [J].
+
+    Weight, wherever it enters (gravity, a heavy hem, a tilt), counts relative to these.
+    """
+    return {
+        name: term.effect.energy(potential.elements(term, anchor, None, None), term.values).sum(-1)
+        for name, term in potential.present(None, None)
+        if term.effect.group in ("mass", "external")
+    }
 
 
 def _carried(offsets: Tensor, x: Tensor, turned: Tensor, scored: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from caphy.network.garment_network import GarmentNetwork
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.solve.statics import drape, drape_on_body
-from caphy.training.validate import ground_energies
+from caphy.training.objective import ground_energies
 
 
 @dataclass(frozen=True)

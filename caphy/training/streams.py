@@ -53,6 +53,11 @@ class Windows:
         """Some of the streams."""
         return Windows(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    @property
+    def still(self) -> np.ndarray:
+        """Where nothing moves in a scored frame (B, K): poses that are held, and a stream's first frame."""
+        return self.held[:, None] | (self.fresh[:, None] & (self.scored == 0))
+
     def features(self, motions: Motions) -> Tensor:
         """What the network sees, (B, T, D)."""
         seen = motions.features[self.frames]

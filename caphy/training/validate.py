@@ -10,11 +10,9 @@ import torch
 from torch import Tensor
 
 from caphy.effects.cloth import Cloth
-from caphy.effects.potential import Potential
-from caphy.effects.registry import find_effect
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.motions import Motions
-from caphy.training.objective import Objective, Past, Scene
+from caphy.training.objective import Objective, Past, Scene, ground_energies
 from caphy.training.streams import Windows
 
 CHUNK = 30
@@ -31,7 +29,7 @@ DEEP = 0.001
 class Frames:
     """Measures of T frames. Energies are those of the implicit Euler step from the trajectory's own last frames.
 
-    energy: name -> (T,) [J]; see :func:`ground_energies` for where that of weight is zero.
+    energy: name -> (T,) [J]; see :func:`~caphy.training.objective.ground_energies` for where that of weight is zero.
     stretch: largest principal stretch minus one of each face, (T, F).
     deep: share of vertices more than 1 mm inside the body, (T,).
     shake: root-mean-square acceleration of the vertices relative to the body, (T,) [m/s^2].
@@ -98,15 +96,6 @@ def measure(objective: Objective, scene: Scene, offsets: Tensor) -> Frames:
         (depth > DEEP).double().mean(-1)[0].cpu().numpy(),
         shake[0].cpu().numpy(),
     )
-
-
-def ground_energies(potential: Potential, anchor: Tensor) -> dict[str, Tensor]:
-    """Energies at the skinned template (..., V, 3) [m] that depend on where in the world it is, name -> (...,) [J].
-
-    Weight, wherever it enters (gravity, a heavy hem, a tilt), counts relative to these.
-    """
-    energies = potential.energies(anchor)
-    return {name: energy for name, energy in energies.items() if find_effect(name).group in ("mass", "external")}
 
 
 def largest_stretch(x: Tensor, cloth: Cloth) -> np.ndarray:

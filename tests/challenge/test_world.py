@@ -17,7 +17,8 @@ from caphy.errors import CaphyError
 
 
 def test_motions_simulated_side_by_side_are_the_same_ones() -> None:
-    stage, drag = square(3, 3, False), HIDDEN["air_drag_normal"].drawn(np.random.default_rng(3))
+    drag = replace(HIDDEN["air_drag_normal"].drawn(np.random.default_rng(3)), same_mesh=True)  # the coarser one
+    stage = square(3, 3, drag.same_mesh)
     two = replace(stage, plays=stage.plays[:2])
     alone, together = (list(_films(two, drag, 3, 3, None, count)) for count in (1, 2))
     np.testing.assert_array_equal(alone, together)

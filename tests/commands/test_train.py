@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_world import swaying, tube
 
@@ -13,7 +15,7 @@ from caphy.cli import main
 from caphy.effects import registry
 from caphy.effects.presets import snug_model
 from caphy.effects.scaffold import write_scaffold
-from caphy.garment.template import write_npz
+from caphy.garment.template import Garment, write_npz
 from caphy.io.poses import write_poses
 from caphy.network.files import load_network
 from caphy.register.subject import body_arrays
@@ -123,6 +125,13 @@ def test_another_training_is_not_gone_on_with(inputs, capsys):
     ):
         assert train(inputs, "--resume", *more) == 2
         assert words in capsys.readouterr().err
+    path = inputs / "tube.npz"
+    before, garment = path.read_bytes(), Garment.load(path)
+    for name in ("material", "weights", "attached"):
+        replace(garment, **{name: np.roll(getattr(garment, name), 1, axis=0) * 0.99}).save(path)
+        assert train(inputs, "--resume") == 2
+        assert f"was begun on a garment of the same mesh and other {name}" in capsys.readouterr().err
+    path.write_bytes(before)
     (inputs / "motions" / "1.npz").unlink()
     assert train(inputs, "--resume") == 2
     assert "on other motions, 2 in all, not 1" in capsys.readouterr().err
@@ -130,7 +139,7 @@ def test_another_training_is_not_gone_on_with(inputs, capsys):
 
 
 def test_what_lies_in_the_run_is_remembered_so_that_it_may_be_moved(tmp_path):
-    from caphy.commands.begun import option
+    from caphy.commands.begun import OPTIONS, copied, option
     from caphy.commands.begun import told as remembered
     from caphy.commands.train import Train
 
@@ -141,6 +150,13 @@ def test_what_lies_in_the_run_is_remembered_so_that_it_may_be_moved(tmp_path):
     moved = tmp_path / "elsewhere" / "train" / "upper"
     assert option("Path", told["garment"], moved) == tmp_path / "elsewhere" / "upper.npz"
     assert option("tuple[Path, ...]", told["poses"], moved) == (walk,)
+    folder = run / "train" / "upper"
+    folder.mkdir(parents=True)
+    (folder / OPTIONS).write_text(json.dumps(told))
+    for to, garment in ((run / "a" / "b" / "upper", "../../../upper.npz"), (tmp_path / "out", str(run / "upper.npz"))):
+        again = json.loads(copied(folder, to))
+        assert again["garment"] == garment and again["poses"] == [str(walk)] and again["seed"] == told["seed"]
+        assert option("Path", again["scans"], to) == run
     alone = remembered(Train(tmp_path / "tube.npz", (walk,), tmp_path / "alone"))
     assert alone["garment"] == str(tmp_path / "tube.npz")
 
@@ -151,5 +167,6 @@ def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):
     monkeypatch.chdir(inputs)
     trained, unseen = _clips(Train(Path("tube.npz"), (Path("motions"),), Path("run")))
     assert [len(clip) for clip in trained] == [30, 24] and [len(clip) for clip in unseen] == [6]
+    assert [Path(clip.source).name for clip in (*trained, *unseen)] == ["0.npz", "1.npz#0-24", "1.npz#24-30"]
     both = _clips(Train(Path("tube.npz"), (Path("motions"),), Path("run"), held_out=(inputs / "motions" / "1.npz",)))
     assert [Path(clip.source).name for clip in both[0]] == ["0.npz"]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 from small_world import swaying, tube
 
 from caphy.cli import main
+from caphy.commands.validate import Validate, _clips
 from caphy.io.poses import write_poses
 from export.runs import read_run
 
@@ -21,14 +23,36 @@ def test_measures_a_run_beside_the_solver(tmp_path, capsys):
     assert main(["validate", str(run), "--seconds", "0.2", "--frames", "120"]) == 0
     assert f"wrote {run / 'validation.json'}" in capsys.readouterr().out
     report = json.loads((run / "validation.json").read_text())
-    assert list(report["clips"]) == ["swaying 1"]
+    assert list(report["clips"]) == ["1.npz"]
     # The solver minimises what the network was barely trained to.
     assert report["potential_of_solver_J"] < report["potential_J"]
     assert report["distance_to_solver_mm"] > 0 and report["drift_frames"] == 120
-    assert read_run(run).metrics["beside_solver"] == report
+    assert read_run(run).metrics["beside_solver"] == {k: v for k, v in report.items() if k != "network_sha256"}
+    (run / "validation.json").write_text(json.dumps({**report, "network_sha256": "of another"}))
+    told = []
+    assert "beside_solver" not in read_run(run, told.append).metrics
+    assert "is of another network" in told[0]
 
     unseen.unlink()
     assert main(["validate", str(run)]) == 2
     assert "give pose files" in capsys.readouterr().err
     assert main(["validate", str(tmp_path)]) == 2
     assert "not a folder that 'caphy train' wrote" in capsys.readouterr().err
+
+
+def test_of_a_clip_whose_end_is_held_out_the_end_is_measured(tmp_path):
+    """... and not its beginning, which was trained on."""
+    tube().save(tmp_path / "tube.npz")
+    write_poses(swaying(40), tmp_path / "one.npz")
+    run = tmp_path / "run"
+    words = ["train", str(tmp_path / "tube.npz"), str(tmp_path / "one.npz"), "--steps", "1", "-o", str(run)]
+    assert main(words) == 0
+    assert main(["validate", str(run), "--seconds", "0.2", "--frames", "60"]) == 0
+    assert list(json.loads((run / "validation.json").read_text())["clips"]) == ["one.npz#32-40"]
+    assert read_run(run).held_out == (f"{tmp_path / 'one.npz'}#32-40",)
+    (clip,) = _clips(Validate(run), json.loads((run / "run.json").read_text()), 30.0)
+    np.testing.assert_array_equal(clip.poses, swaying(40).poses[32:])
+    write_poses(swaying(39), tmp_path / "one.npz")
+    assert main(["validate", str(run)]) == 2
+    write_poses(swaying(1), tmp_path / "short.npz")
+    assert main(["validate", str(run), str(tmp_path / "short.npz")]) == 2

@@ -93,6 +93,15 @@ def test_the_table_says_what_is_there_and_what_is_not(evaluation):
     json.dumps(evaluation.document(), allow_nan=False)
 
 
+def test_scans_that_could_not_be_evaluated_are_not_counted(evaluation):
+    evaluation.classes["c"], evaluation.distances["c"] = "running", 45.0
+    evaluation.left_out["c"] = "shows nothing"
+    document = evaluation.document()
+    assert sorted(document["scans"]) == ["a", "b"]
+    text = "\n".join(table_lines(document))
+    assert "scans held out: 2" in text and "running (1; 15 degrees)" in text and "  c: shows nothing" in text
+
+
 def _networks(folder):
     for kind in ("upper", "lower"):
         (folder / kind).mkdir(parents=True)

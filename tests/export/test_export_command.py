@@ -84,7 +84,7 @@ def test_the_heads_error_is_stated_on_motions_held_out_of_training(tmp_path):
     run = run_folder(tmp_path, "tshirt")
     assert main(["export", str(run), "-o", str(tmp_path / "out")]) == 0
     bundle = read_bundle(tmp_path / "out")
-    assert bundle.provenance["head_error_measured_on"] == ["wiggle 0"]
+    assert bundle.provenance["head_error_measured_on"] == ["held.npz#15-30"]
 
 
 def test_nothing_is_written_where_the_graph_differs(tmp_path, capsys, monkeypatch):

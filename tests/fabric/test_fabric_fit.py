@@ -363,6 +363,8 @@ def test_models_that_cannot_be_fitted_are_refused(scans):
     with pytest.raises(CaphyError, match="strain_measured"):
         fit_fabric(scans, Model(0.2, {"gravity": {}}))
     with pytest.raises(CaphyError, match="above zero"):
-        fit_fabric(scans, Model(0.2, {"bending": {"stiffness_weft": 0.0, "stiffness_warp": 0.0}}))
+        fit_fabric(scans, PLANTED.with_effect("bending", stiffness_weft=0.0, stiffness_warp=0.0))
+    with pytest.raises(CaphyError, match="stretches freely"):
+        fit_fabric(scans, Model(0.2, {"bending": {"stiffness_weft": 1e-5, "stiffness_warp": 1e-5}}))
     with pytest.raises(CaphyError, match="at least 3 scans"):
         fit_fabric([], PLANTED)

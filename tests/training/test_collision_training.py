@@ -108,6 +108,10 @@ def test_stopped_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
     longer = collider(tmp_path / "broken", 2, 5, monkeypatch)
     with pytest.raises(CaphyError, match="steps"):
         longer.resume()
+    heavier = snug_model().with_effect("gravity", acceleration=[0.0, -9.0, 0.0])
+    monkeypatch.setitem(alone.__globals__, "snug_model", lambda: heavier)
+    with pytest.raises(CaphyError, match="other networks, models, motions, scans or another seed"):
+        collider(tmp_path / "broken", 2, 2, monkeypatch).resume()
 
 
 def test_stops_where_a_loss_is_not_finite(tmp_path, monkeypatch):
@@ -211,3 +215,8 @@ def test_mistakes_are_explained(tmp_path, capsys):
     assert "names must differ" in capsys.readouterr().err
     assert main(["collide", inner, inner, "--epochs", "0", *out]) == 2
     assert "--epochs must be positive" in capsys.readouterr().err
+    for seed in ("-1", str(1 << 63)):
+        assert main(["collide", inner, inner, "--seed", seed, *out]) == 2
+        assert "--seed must be from 0" in capsys.readouterr().err
+    assert main(["collide", inner, str(tmp_path / "other"), "-o", str(tmp_path)]) == 2
+    assert "which is only read; give another folder" in capsys.readouterr().err

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +14,7 @@ from caphy.body.kinematics import joint_positions, joint_transforms
 from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence, write_poses
+from caphy.io.poses.parts import file_of, part, read_part
 from caphy.network.features import pose_features, rest_state
 from caphy.rotations import matrix_from_axis_angle
 from caphy.training.motions import Motions, continuous_parts, find_poses, mirrored, varied
@@ -63,8 +66,26 @@ def test_a_tracking_error_cuts_a_clip():
     poses = swaying(90).poses.copy()
     poses[40:, 16, 0] += 3.0
     parts = continuous_parts(PoseSequence(poses, np.zeros((90, 3)), 30.0, source="clip"))
-    assert [len(part) for part in parts] == [40, 50] and parts[1].source == "clip#2"
+    assert [len(part) for part in parts] == [40, 50] and parts[1].source == "clip#40-90"
     assert continuous_parts(swaying(9))[0].source == "swaying 0"
+
+
+def test_a_part_is_known_by_its_frames(tmp_path):
+    path = tmp_path / "walk.npz"
+    write_poses(swaying(90), path)
+    whole = read_part(str(path))
+    inner = part(part(whole, 20, 80), 10, 200)
+    assert inner.source == f"{path}#30-80" and file_of(inner.source) == str(path) == whole.source
+    np.testing.assert_array_equal(read_part(inner.source).poses, whole.poses[30:80])
+    assert read_part(inner.source).source == inner.source
+    with pytest.raises(CaphyError, match="must have the frames 30 to 90 that were asked for, has 90"):
+        read_part(f"{path}#30-91")
+
+
+def test_poses_of_a_camera_are_not_trained_on(tmp_path):
+    write_poses(replace(swaying(9), frame="camera"), tmp_path / "film.npz")
+    with pytest.raises(CaphyError, match=r"film\.npz: these poses are in a camera's frame"):
+        find_poses([tmp_path])
 
 
 def test_finds_pose_files_in_folders(tmp_path):
