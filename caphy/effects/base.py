@@ -77,6 +77,8 @@ class Step:
         time: when the step ends [s], for what changes by the clock (gusts); (..., 1) where batched steps end apart.
         pressed: positions at which the body's push tells how much friction there is, (..., V, 3) [m]; where the last
             converged state is, carried along by the body, unless given.
+        lead: by how much a stage's origin leads from the state that the whole step began with, through the last
+            converged one and beyond: origin = (1 - lead) start + lead lagged; (..., 1) where batched steps differ.
     """
 
     dt: float
@@ -86,6 +88,7 @@ class Step:
     lagged_velocity: Tensor
     time: float | Tensor = 0.0
     pressed: Tensor | None = None
+    lead: float | Tensor = 0.0
 
     @classmethod
     def implicit_euler(cls, dt: float, previous: Tensor, before: Tensor, time: float = 0.0) -> Step:
@@ -95,7 +98,13 @@ class Step:
     def map(self, function: Callable[[Tensor], Tensor]) -> Step:
         """This step with a function applied to each of its vertex fields."""
         pressed = None if self.pressed is None else function(self.pressed)
-        return Step(self.dt, *(function(getattr(self, field)) for field in HISTORY), time=self.time, pressed=pressed)
+        fields = (function(getattr(self, field)) for field in HISTORY)
+        return Step(self.dt, *fields, time=self.time, pressed=pressed, lead=self.lead)
+
+    @property
+    def start(self) -> Tensor:
+        """Positions (..., V, 3) [m] that the whole step began with."""
+        return began(self.origin, self.lagged, self.lead if isinstance(self.lead, float) else self.lead[..., None])
 
 
 @dataclass(frozen=True)
@@ -130,6 +139,7 @@ class Elements:
         origin, target, lagged, lagged_velocity: as in :class:`Step`, each (k, 3, ..., n); None in statics.
         time: when the step ends [s]; None in statics.
         pressed: as in :class:`Step`, (k, 3, ..., n); only for effects that read the body, None where it is not given.
+        lead: as in :class:`Step`.
         body: as in :class:`BodyState`, name -> (3, ..., n); only for effects that read the body.
         known: what was worked out of the history before, name -> what it was worked out of and the result.
     """
@@ -143,6 +153,7 @@ class Elements:
     lagged_velocity: Tensor | None = None
     time: float | Tensor | None = None
     pressed: Tensor | None = None
+    lead: float | Tensor = 0.0
     body: Mapping[str, Tensor] | None = None
     known: dict[str, tuple[Tensor, Tensor]] | None = None
 
@@ -155,12 +166,40 @@ class Elements:
                 self.known[name] = kept
         return kept[1]
 
+    def then(
+        self, name: str, work_out: Callable[[Tensor], Tensor], apart: Callable[[Tensor, Tensor], Tensor] = torch.sub
+    ) -> Tensor:
+        """From which value of a strain or an angle its change over the step is counted: (now - then) / dt is its rate.
+
+        A stage's origin leads beyond where the cloth ever was; of cloth that turns it is a stretched one, whose strain
+        changes though nothing deforms. So the integrator's rule is applied to the strain itself.
+
+        Args:
+            name: of what is worked out.
+            work_out: what no rigid motion changes, of positions (k, 3, ..., n) [m].
+            apart: the difference of two such values.
+        """
+        origin, lead = self.origin, self.lead
+        if origin is None:
+            raise RuntimeError("statics has no rates; set needs_step on the effect")
+        if isinstance(lead, float) and lead == 0:
+            return self.once(name, origin, work_out)
+        lagged = self.lagged
+        assert lagged is not None
+        first = self.once(f"{name} at the start", origin, lambda origin: work_out(began(origin, lagged, lead)))
+        return first + lead * apart(self.once(f"{name} before", lagged, work_out), first)
+
     @property
     def velocity(self) -> Tensor:
         """Velocities (k, 3, ..., n) [m/s] of the step under way."""
         if self.origin is None or self.dt is None:
             raise RuntimeError("statics has no velocity; set needs_step on the effect")
         return (self.x - self.origin) / self.dt
+
+
+def began(origin: Tensor, lagged: Tensor, lead: float | Tensor) -> Tensor:
+    """Positions [m] that a step began with, of which a stage's origin is led away (:class:`Step`)."""
+    return (origin - lead * lagged) / (1 - lead)
 
 
 Values = Mapping[str, Tensor]

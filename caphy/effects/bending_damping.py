@@ -25,20 +25,24 @@ class BendingDamping(Hinge):
     needs_step = True
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
-        assert e.origin is not None and e.dt is not None
-        return damping_stiffness(e.rest, p, e.dt) * turn(angle, dihedral(e.origin)) ** 2
+        assert e.dt is not None
+        return damping_stiffness(e.rest, p, e.dt) * turn(angle, _then(e)) ** 2
 
     def gradient(self, e: Elements, p: Values) -> tuple[Tensor, Tensor]:
         angle, slope = dihedral_gradient(e.x, e.rest["length"], e.rest["area"])
         moment, _ = self.response(angle, e, p)
-        assert e.origin is not None
-        return 0.5 * moment * turn(angle, dihedral(e.origin)), moment * slope
+        return 0.5 * moment * turn(angle, _then(e)), moment * slope
 
     def response(self, angle: Tensor, e: Elements, p: Values, convex: bool = False) -> tuple[Tensor, Tensor]:
         """Moment [N m] and its slope [N m] at angles (..., n) [rad], in closed form."""
-        assert e.origin is not None and e.dt is not None
+        assert e.dt is not None
         slope = 2 * damping_stiffness(e.rest, p, e.dt)
-        return slope * turn(angle, dihedral(e.origin)), slope
+        return slope * turn(angle, _then(e)), slope
+
+
+def _then(e: Elements) -> Tensor:
+    """Angles (..., n) [rad] from which the change over the step is counted."""
+    return e.then("dihedral angle", dihedral, turn)
 
 
 def damping_stiffness(rest: Mapping[str, Tensor], p: Values, dt: float) -> Tensor:

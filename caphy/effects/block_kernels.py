@@ -21,6 +21,7 @@ from caphy.effects.kernels import (
     _minus,
     _turn,
     _vertex,
+    angle_then,
     projected,
     unit_normal,
     velocity_of_face,
@@ -136,12 +137,12 @@ def bending(x, index, stiffness, rest_angle, length, area, projection, slots, bl
 
 
 @_compiled()
-def bending_damping(x, origin, index, stiffness, length, area, projection, slots, blocks):
-    """Add hinges of effects.bending_damping: bending whose rest angles are those of ``origin``."""
+def bending_damping(x, start, lagged, index, stiffness, length, area, lead, projection, slots, blocks):
+    """Add hinges of effects.bending_damping: bending whose rest angles are those before the step."""
     slope = np.empty((4, 3))
     for i in range(index.shape[0]):
         found = _hinge(x, 0, index, i)
-        moment = 2.0 * (1.0 - projection) * stiffness[i] * _turn(found[5], _hinge(origin, 0, index, i)[5])
+        moment = 2.0 * (1.0 - projection) * stiffness[i] * _turn(found[5], angle_then(start, lagged, 0, index, i, lead))
         _add_hinge(found, length[i], area[i], moment, 2.0 * stiffness[i], slope, slots[i], blocks)
 
 

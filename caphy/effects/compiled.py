@@ -79,10 +79,13 @@ def _hinges(stiffness: Callable[[Mapping[str, Tensor], Values], Tensor], b: Boun
     return kernels.bending, (), (b.index, stiffness(b.rest, b.values), *rest)
 
 
-def _bending_damping(b: Bound) -> Arguments:
+def _bending_damping(b: Bound) -> Arguments | None:
     assert b.step is not None
+    if isinstance(b.step.lead, Tensor):
+        return None
     stiffness = damping_stiffness(b.rest, b.values, b.step.dt)
-    return kernels.bending_damping, (b.step.origin,), (b.index, stiffness, b.rest["length"], b.rest["area"])
+    constants = b.index, stiffness, b.rest["length"], b.rest["area"], float(b.step.lead)
+    return kernels.bending_damping, (b.step.start, b.step.lagged), constants
 
 
 def _bending_measured(b: Bound) -> Arguments:

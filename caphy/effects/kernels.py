@@ -233,13 +233,20 @@ def bending(x, index, stiffness, rest_angle, length, area, energy, gradient):
         energy[t] += total
 
 
+@_inlined()
+def angle_then(start, lagged, t, index, i, lead):
+    """:meth:`caphy.effects.base.Elements.then` of a hinge's angle [rad]."""
+    first = _hinge(start, t, index, i)[5]
+    return first if lead == 0.0 else first + lead * _turn(_hinge(lagged, t, index, i)[5], first)
+
+
 @_compiled()
-def bending_damping(x, origin, index, stiffness, length, area, energy, gradient):
-    """Bending whose rest angles are those of ``origin`` (T, V, 3)."""
+def bending_damping(x, start, lagged, index, stiffness, length, area, lead, energy, gradient):
+    """Bending whose rest angles are those of ``start`` (T, V, 3), led through those of ``lagged`` and beyond."""
     for t in range(x.shape[0]):
         total = 0.0
         for i in range(index.shape[0]):
-            before = _hinge(origin, t, index, i)[5]
+            before = angle_then(start, lagged, t, index, i, lead)
             edge, wing_c, wing_d, normal_c, normal_d, angle = _hinge(x, t, index, i)
             turn = _turn(angle, before)
             total += stiffness[i] * turn * turn

@@ -200,8 +200,8 @@ def strain_of(e: Elements, x: Tensor) -> Symmetric:
 
 def strain_rate(strain: Symmetric, e: Elements) -> Symmetric:
     """Change of the Green strain over the step per second (..., n) [1/s], from where it set out to ``strain``."""
-    assert e.origin is not None and e.dt is not None
-    then = e.once("strain at the origin", e.origin, lambda origin: torch.stack(strain_of(e, origin)))
+    assert e.dt is not None
+    then = e.then("strain", lambda x: torch.stack(strain_of(e, x)))
     uu, vv, uv = ((now - before) / e.dt for now, before in zip(strain, then, strict=True))
     return uu, vv, uv
 

@@ -151,7 +151,7 @@ class Potential:
         pressed = None
         if step.pressed is not None and term.effect.needs_body:
             pressed = term.gather(planes(step.pressed))
-        told = {"dt": step.dt, "time": step.time, "pressed": pressed, "known": {}, **fields}
+        told = {"dt": step.dt, "time": step.time, "pressed": pressed, "lead": step.lead, "known": {}, **fields}
         if step.origin.dim() == 2:  # batches of frames take room, and come once
             self._histories[name] = step, told
         return told
@@ -181,7 +181,8 @@ class Potential:
         x = x.detach().contiguous()
         if x.device.type == "cpu":
             return self._summed(x, step, body)
-        kind = step and (step.dt, step.pressed is None), body is None
+        assert step is None or isinstance(step.lead, float)  # the network's steps have none
+        kind = step and (step.dt, step.pressed is None, step.lead), body is None
         recorded = self._recorded.setdefault(kind, Recorded(partial(self._of_fields, step, body)))
         energy, gradient = recorded(x, *_fields(step, x), *(() if body is None else vars(body).values()))
         return energy, gradient

@@ -7,6 +7,7 @@ import torch
 
 from caphy.body.surface import NearestPoints, Surface
 from caphy.effects.base import BodyState
+from caphy.solve.body_motion import set_out
 from caphy.solve.paths import path
 
 _REACH = 0.05  # cloth nearer than this is carried along by the surface [m]
@@ -31,10 +32,13 @@ class MeshBody:
         """Nearest points of the surface at a time [s] for positions x (V, 3) [m]."""
         return self._surface.nearest(x, self.vertices(time))
 
-    def state(self, time: float, x: np.ndarray, dt: float) -> BodyState:
-        """What positions x (V, 3) [m] see of the body at a time [s]; velocities over the last ``dt`` seconds."""
+    def state(self, time: float, x: np.ndarray, dt: float, lead: float = 0.0) -> BodyState:
+        """What positions x (V, 3) [m] see of the body at a time [s]; velocities as in a step of ``dt`` seconds."""
         found = self.nearest(time, x)
-        velocity = (found.point - self._followed(found, time - dt)) / dt
+        set_out_at = sum(
+            share * self._followed(found, then) for share, then in zip(*set_out(time, dt, lead), strict=True)
+        )
+        velocity = (found.point - set_out_at) / dt
         return BodyState(*(torch.from_numpy(field) for field in (found.point, found.normal, velocity, x.copy())))
 
     def carried(self, x: np.ndarray, free: np.ndarray, start: float, stop: float) -> np.ndarray:

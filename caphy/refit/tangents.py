@@ -60,7 +60,7 @@ class Recorder:
         def kept(step: Step, time: float) -> Tensor:
             x = solve(step, time)
             # Asked for now, while the motion remembers that moment's body and most of the points nearest on it.
-            body = None if self.motion is None else self.motion.state(time, x.numpy(), step.dt)
+            body = None if self.motion is None else self.motion.state(time, x.numpy(), step.dt, float(step.lead))
             self.stages.append(Stage(replace(step, pressed=x), x, body))
             return x
 
@@ -92,7 +92,7 @@ class Tangents:
         """
         self.scene, self.newton, self.candidates, self.columns = scene, newton, candidates, columns
         self.pushes = pushes
-        self._read: dict[str, tuple[str, ...]] = {}
+        self._read: dict[tuple[str, bool], tuple[str, ...]] = {}
         free = np.ones(len(scene.garment.vertices)) if scene.fixed is None else (~scene.fixed).astype(float)
         self._free = torch.from_numpy(free)[:, None]
 
@@ -137,9 +137,9 @@ class Tangents:
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
             elif (term.effect.needs_step or term.effect.reads_step) and len(total) > _FEW:
                 elements = potential.elements(term, stage.x, stage.step, stage.body)
-                if name not in self._read:
-                    self._read[name] = _read(term, elements)
-                for field in self._read[name]:
+                if (which := (name, stage.step.lead != 0)) not in self._read:
+                    self._read[which] = _read(term, elements)
+                for field in self._read[which]:
                     by = getattr(change, field).numpy().reshape(len(total), -1)
                     matrix = _history_matrix(term, elements, field, len(stage.x))
                     total += torch.from_numpy((matrix @ by.T).T).reshape(total.shape)
@@ -152,9 +152,12 @@ class Tangents:
         if not self.columns and self.pushes is None:
             return [torch.zeros((0, *stages[0].x.shape), dtype=torch.float64)] * len(stages)
         fields = {name: torch.stack([getattr(s.step, name) for s in stages]) for name in HISTORY}
-        times = torch.tensor([float(s.step.time) for s in stages], dtype=torch.float64)[:, None]
+        times, lead = (
+            torch.tensor([float(value) for value in values], dtype=torch.float64)[:, None]
+            for values in zip(*((s.step.time, s.step.lead) for s in stages), strict=True)
+        )
         x = torch.stack([s.x for s in stages])
-        step = Step(stages[0].step.dt, **fields, time=times, pressed=x)
+        step = Step(stages[0].step.dt, **fields, time=times, pressed=x, lead=lead)
         bodies = [stage.body for stage in stages if stage.body is not None]
         body = None
         if bodies:
@@ -193,7 +196,7 @@ def _along_history(potential: Potential, name: str, stage: Stage, change: Step) 
         field: torch.cat([getattr(stage.step, field) + value / nudges, getattr(stage.step, field)[None]])
         for field, value in by.items()
     }
-    step = Step(stage.step.dt, **fields, time=stage.step.time, pressed=_expanded(stage.step.pressed, wide))
+    step = replace(stage.step, **fields, pressed=_expanded(stage.step.pressed, wide))
     body = None if stage.body is None else stage.body.map(lambda field: field.expand(wide.shape))
     found = potential.term_gradient(name, wide, step, body)
     return (found[:-1] - found[-1]) * nudges

@@ -156,16 +156,18 @@ class BodyMotion:
             field[moved] = new
         return NearestPoints(*fields)
 
-    def state(self, time: float, x: np.ndarray, dt: float) -> BodyState:
+    def state(self, time: float, x: np.ndarray, dt: float, lead: float = 0.0) -> BodyState:
         """What positions x (V, 3) [m] see of the body at a time [s].
 
-        The body's velocity is its displacement over the last ``dt`` seconds, as implicit Euler sees velocities.
+        The body's velocity is what a step of ``dt`` seconds and a ``lead`` (:class:`caphy.effects.base.Step`) makes of
+        its path, so that cloth which sticks to it stays where it sticks.
         """
-        return self.seen(self.nearest(time, x), time, dt)
+        return self.seen(self.nearest(time, x), time, dt, lead)
 
-    def seen(self, found: NearestPoints, time: float, dt: float) -> BodyState:
+    def seen(self, found: NearestPoints, time: float, dt: float, lead: float = 0.0) -> BodyState:
         """:meth:`state` for nearest points (V,) found already."""
-        before = self.vertices(np.array([time - dt]))[0][self.body.faces[found.face]]
+        shares, times = set_out(time, dt, lead)
+        before = np.tensordot(shares, self.vertices(times), 1)[self.body.faces[found.face]]
         velocity = (found.point - np.einsum("vk,vkc->vc", found.barycentric, before)) / dt
         fields = (found.point, found.normal, velocity, self._anchor(time))
         return BodyState(*(torch.from_numpy(field) for field in fields))
@@ -174,6 +176,13 @@ class BodyMotion:
         if time != self._anchor_time:
             self._anchor_time, self._anchors = time, self.anchors(np.array([time]))[0]
         return self._anchors
+
+
+def set_out(time: float, dt: float, lead: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of what a path's origin is made in a step (:class:`caphy.effects.base.Step`): shares (N,) and times (N,) [s]."""
+    if lead == 0:
+        return np.ones(1), np.array([time - dt])
+    return np.array([1 - lead, lead]), np.array([time - dt * (1 + lead), time - dt * lead])
 
 
 def _unbroken(quaternions: np.ndarray) -> np.ndarray:

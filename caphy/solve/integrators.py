@@ -68,7 +68,7 @@ class SDIRK2:
         origin = state.x + rest * middle_velocity
         velocity = state.v + rest * acceleration
         time = state.time + dt
-        x = solve(Step(h, origin, origin + h * velocity, middle, middle_velocity, time), time)
+        x = solve(Step(h, origin, origin + h * velocity, middle, middle_velocity, time, lead=rest / h), time)
         return State(time, x, (x - origin) / h)
 
 

@@ -108,7 +108,7 @@ class Simulator:
             nonlocal before
             guess = self._guess(step, before, time)
             motion, before = self.motion, time
-            body = None if motion is None else lambda x: motion.state(time, x.numpy(), step.dt)
+            body = None if motion is None else lambda x: motion.state(time, x.numpy(), step.dt, float(step.lead))
             x, report = self.newton.minimise(guess, step, body, least=1)
             if self._rubs and body is not None:
                 x, report = self._gripped(x, report, step, body)
