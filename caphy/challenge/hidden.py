@@ -104,7 +104,7 @@ ONE: Mapping[str, Hidden] = {
         _one("shear_stiffness", stiffness=40.0),
         _one("shrinkage", "shrinkage_directional", fraction=0.03),
         _one("extra_bending", "bending_anisotropy", stiffness=6e-5),
-        _one("bending_anisotropy", "extra_bending", difference=5.5e-5),
+        _one("bending_anisotropy", "extra_bending", difference=4.2e-5),
         _one("natural_curvature", weft=12.0, warp=4.0),
         _one("added_mass", "extra_mass", density=0.06),
         _one("mass_gradient", "heavy_hem", gradient=0.4),

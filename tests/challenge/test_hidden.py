@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from caphy.challenge.hidden import HIDDEN, ONE
+from caphy.challenge.square import MODEL
 
 
 @pytest.mark.parametrize("name", ["air_drag_normal", "wind_normal", "uniform_acceleration", "pressure"])
@@ -24,3 +25,11 @@ def test_strengths_are_near_the_usual_ones(scene: str) -> None:
     ]
     shares = np.array([each["fraction"] for each in drawn]) / usual
     assert shares.min() >= 0.75 and shares.max() <= 1.4 and np.ptp(shares) > 0.3
+
+
+def test_a_hidden_anisotropy_leaves_cloth_stiff_in_all_directions() -> None:
+    """It takes off one thread's bending what it adds to the other's."""
+    least = min(MODEL.effects["bending"].values())
+    for seed in range(100):
+        hidden = ONE["bending_anisotropy"].drawn(np.random.default_rng(seed)).effects["bending_anisotropy"]
+        assert abs(hidden["difference"]) < least
