@@ -192,6 +192,7 @@ class Effect:
             values at which to look for it; with none it is looked for as by default.
         borrows: other effects whose parameters it reads too, as ``p["body_contact.stiffness"]``; the model must have
             them. Of a tuple of alternatives the model must have at least one, and those it has are lent.
+        heeds: other effects whose parameters it reads where the model has them, and can do without.
     """
 
     name: ClassVar[str]
@@ -209,6 +210,7 @@ class Effect:
     refines: ClassVar[str | None] = None
     further: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     borrows: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
+    heeds: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)
@@ -229,7 +231,8 @@ class Effect:
         """Those of ``present`` effects whose parameters this one reads; None if it lacks one that it needs."""
         names = set(present)
         found = [[other for other in _alternatives(entry) if other in names] for entry in self.borrows]
-        return tuple(other for some in found for other in some) if all(found) else None
+        found.append([other for other in self.heeds if other in names])
+        return tuple(other for some in found for other in some) if all(found[:-1]) else None
 
     def index(self, cloth: Cloth) -> np.ndarray:
         """Vertex indices of each element, (n, k). Override to act on some elements only (a waistband, a hem)."""

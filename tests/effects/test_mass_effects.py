@@ -161,6 +161,18 @@ def test_thick_cloth_is_kept_at_a_greater_distance(thickness: float) -> None:
     torch.testing.assert_close(got, wanted)
 
 
+@pytest.mark.parametrize("thickness", [0.002, -0.001])
+def test_thick_cloth_is_held_by_friction_as_at_a_greater_distance(thickness: float) -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    contact: Any = {"stiffness": 1e8, "distance": 0.004}
+    farther: Any = {**contact, "distance": 0.004 + thickness}
+    thick: Any = {"thickness": thickness}
+    wanted = gradient(cloth, at.x, at.step, at.body, body_contact=farther, body_friction={})
+    got = gradient(cloth, at.x, at.step, at.body, body_contact=contact, contact_thickness=thick, body_friction={})
+    torch.testing.assert_close(got, wanted)
+
+
 def test_an_effect_says_what_it_needs() -> None:
     with pytest.raises(CaphyError, match="shrinkage needs strain_stvk or strain_measured in the same model"):
         Model(DENSITY, {"shrinkage": {}})
