@@ -7,7 +7,7 @@ from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import Hinge
+from caphy.effects.hinge import Hinge, turn
 from caphy.effects.lending import BENDINGS, bending_energy, bending_rest
 from caphy.effects.membrane import membrane_rest
 
@@ -39,9 +39,9 @@ class NaturalCurvature(Hinge):
         return {**bending_rest(cloth), "weft_angle": weft, "warp_angle": warp}
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
-        turn = angle - e.rest["angle"]
         natural = p["weft"] * e.rest["weft_angle"] + p["warp"] * e.rest["warp_angle"]
-        return bending_energy(turn - natural, e.rest, p) - bending_energy(turn, e.rest, p)
+        curved, plain = turn(angle, e.rest["angle"] + natural), turn(angle, e.rest["angle"])
+        return bending_energy(curved, e.rest, p) - bending_energy(plain, e.rest, p)
 
 
 def _angles_per_curvature(cloth: Cloth) -> np.ndarray:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import Hinge, dihedral
+from caphy.effects.hinge import Hinge, dihedral, turn
 from caphy.effects.lending import BENDINGS, bending_moment, bending_rest
 
 
@@ -37,7 +37,7 @@ class PlasticCrease(Hinge):
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
         assert e.origin is not None and e.lagged is not None and e.dt is not None
-        moment = bending_moment(dihedral(e.lagged) - e.rest["angle"], e.rest, p).abs()
+        moment = bending_moment(turn(dihedral(e.lagged), e.rest["angle"]), e.rest, p).abs()
         width = e.rest["area"] / e.rest["length"]
-        rate = (angle - dihedral(e.origin)) / (e.dt * width)
+        rate = turn(angle, dihedral(e.origin)) / (e.dt * width)
         return e.dt * p["share"] * moment * width * (torch.sqrt(rate * rate + p["slip"] ** 2) - p["slip"])
