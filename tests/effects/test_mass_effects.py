@@ -151,6 +151,49 @@ def test_uniform_acceleration_is_force_per_mass() -> None:
     np.testing.assert_allclose(force, cloth.mass[:, None] * [1.0, -2.0, 3.0], rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("load", "values"),
+    [
+        ("extra_mass", {"density": 0.2}),
+        ("heavy_hem", {"line_density": (0.02, 0.01, 0.0, 0.0)}),
+        ("mass_gradient", {"gradient": 0.5}),
+    ],
+)
+def test_what_goes_by_mass_goes_by_all_mass_with_weight(load: str, values: dict) -> None:
+    """A uniform acceleration tilts gravity, and a damping is that of all mass: told by the weight of the cloth."""
+    cloth = tube()
+    x = torch.as_tensor(cloth.vertices)
+    step = moving(x, torch.tensor((1.0, -2.0, 3.0), dtype=torch.float64))
+    loaded: Any = {"gravity": {"acceleration": GRAVITY}, load: values}
+    weight = gradient(cloth, x, gravity={"acceleration": GRAVITY}, **{load: values})[:, 1:2] / 9.81
+    tilted = gradient(cloth, x, uniform_acceleration={"acceleration": (1.0, -2.0, 3.0)}, **loaded)
+    torch.testing.assert_close(tilted - gradient(cloth, x, **loaded), weight * torch.tensor([-1.0, 2.0, -3.0]))
+    damped = gradient(cloth, x, step, mass_damping={"rate": 2.0}, **loaded)
+    torch.testing.assert_close(damped - gradient(cloth, x, step, **loaded), 2 * weight * torch.tensor([1.0, -2.0, 3.0]))
+
+
+def test_slopes_by_a_load_count_the_acceleration_that_it_feels() -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    effects: Any = {"gravity": {}, "uniform_acceleration": {}, "mass_damping": {}}
+
+    def loaded(density: float) -> torch.Tensor:
+        return gradient(cloth, at.x, at.step, **effects, extra_mass={"density": density})
+
+    potential = Potential(Model(DENSITY, {**effects, "extra_mass": {"density": 0.0}}), cloth)
+    slope = potential.parameter_gradients(at.x, at.step, None, {"extra_mass.density"})["extra_mass.density"]
+    torch.testing.assert_close(slope, (loaded(0.1) - loaded(-0.1)) / 0.2)
+
+
+def test_a_pinched_mesh_can_be_accelerated() -> None:
+    """Two triangles that meet in a vertex alone: no hem can be sewn along them."""
+    vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0]])
+    faces = np.array([[0, 1, 2], [0, 3, 4]])
+    cloth = Cloth(vertices, faces, vertices[faces][..., :2], DENSITY, np.zeros(5), np.zeros(5))
+    force = -gradient(cloth, torch.as_tensor(vertices), uniform_acceleration={"acceleration": (1.0, 0.0, 0.0)})
+    np.testing.assert_allclose(force, cloth.mass[:, None] * [1.0, 0.0, 0.0], rtol=1e-12)
+
+
 @pytest.mark.parametrize("thickness", [0.002, -0.001])
 def test_thick_cloth_is_kept_at_a_greater_distance(thickness: float) -> None:
     cloth = irregular_cloth()
