@@ -15,7 +15,7 @@ from caphy.effects.hinge import dihedral
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect
-from caphy.effects.trial import flat_cloth, grid
+from caphy.effects.trial import flat_cloth, grid, irregular_cloth, moment
 
 LENGTH, AREA = 0.02, 2 * 0.5 * 0.02 * 0.01
 
@@ -111,6 +111,17 @@ def test_curved_cloth_rests_on_a_cylinder_of_its_curvature(law: str, axis: int) 
     energies = [energy(bent) for bent in bends]
     assert bends[int(np.argmin(energies))] * radius == pytest.approx(1, abs=0.011)
     assert min(energies) == pytest.approx(0, abs=1e-3 * energy(1e-3 / radius))
+
+
+def test_what_stiffens_folds_rests_curved_and_creases_with_them() -> None:
+    stiffer: Any = {"extra_bending": {"stiffness": 4e-5}, "bending_anisotropy": {"difference": 1e-5}}
+    whole: Any = {"bending": {"stiffness_weft": 9e-5, "stiffness_warp": 7e-5}}
+    parts: Any = {"bending": {"stiffness_weft": 4e-5, "stiffness_warp": 4e-5}, **stiffer}
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    for added in ({"natural_curvature": {"weft": 9.0, "warp": -4.0}}, {"plastic_crease": {}}):
+        one, other = (Potential(Model(DENSITY, {**effects, **added}), cloth) for effects in (whole, parts))
+        torch.testing.assert_close(other.gradient(at.x, at.step), one.gradient(at.x, at.step))
 
 
 def test_natural_angles_are_those_of_the_surface_on_any_mesh() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from caphy.effects.potential import Potential
 from caphy.effects.registry import register_file
 from caphy.effects.scaffold import write_scaffold
 from caphy.effects.sources import sources
-from caphy.effects.trial import irregular_cloth
+from caphy.effects.trial import irregular_cloth, moment
 from caphy.errors import CaphyError, Diverged, EffectFailed
 from caphy.kept import Kept
 from caphy.solve.newton import Newton
@@ -217,6 +218,50 @@ def test_elements_are_numbered_by_whole_numbers(tmp_path):
     index = "    def index(self, cloth):\n        return 1.0 * cloth.hinges[:, :1]\n\n    def rest("
     with pytest.raises(CaphyError, match="my_wind: index must give numbers of vertices, whole ones"):
         use_file(_written(tmp_path / "mine.py", "    def rest(", index))
+
+
+LAW = '''
+from caphy.effects.base import Parameter
+from caphy.effects.membrane import Membrane
+
+
+class MyLaw(Membrane):
+    """Threads that stiffen, E = A k / 2 G_uu^2 [J] per face."""
+
+    name = "my_law"
+    parameters = {"stiffness": Parameter(30.0, "N/m", 0.0, 1e5, doc="tension per strain")}
+    reference = "a user's own"
+
+    def density(self, strain, e, p):
+        return 0.5 * p["stiffness"] * strain[0] ** 2
+'''
+WOVEN = LAW.replace(
+    "    def density",
+    "    def rest(self, cloth):\n"
+    "        return super().rest(cloth) | {'woven': cloth.face_area / cloth.face_area.mean()}\n\n    def density",
+).replace("0.5 *", '0.5 * e.rest["woven"] *')
+
+
+@pytest.mark.parametrize("rest_shape", ["softening", "shrinkage", "shrinkage_directional"])
+def test_a_law_of_ones_own_with_constants_of_its_own_is_not_lent(tmp_path, rest_shape):
+    (tmp_path / "mine.py").write_text(WOVEN)
+    assert use_file(tmp_path / "mine.py") == ["my_law"]
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    effects = {"strain_stvk": {}, rest_shape: {}}
+    terms = Potential(Model(cloth.density, {**effects, "my_law": {}}), cloth).term_gradients(at.x, at.step)
+    alone = Potential(Model(cloth.density, effects), cloth).term_gradients(at.x, at.step)
+    torch.testing.assert_close(terms[rest_shape], alone[rest_shape])
+
+
+def test_a_law_of_ones_own_is_cut_smaller_with_the_cloth(tmp_path):
+    (tmp_path / "mine.py").write_text(LAW)
+    use_file(tmp_path / "mine.py")
+    cloth, elastic = irregular_cloth(), {"strain_stvk": {}, "my_law": {}}
+    cut, x = replace(cloth, material=0.95 * cloth.material), moment(cloth).x
+    wanted = Potential(Model(cloth.density, elastic), cut).gradient(x)[1]
+    got = Potential(Model(cloth.density, {**elastic, "shrinkage": {"fraction": 0.05}}), cloth).gradient(x)[1]
+    torch.testing.assert_close(got, wanted, rtol=1e-9, atol=1e-12)
 
 
 def test_a_helper_of_another_file_is_not_taken_for_ones_own(tmp_path):
