@@ -1,7 +1,7 @@
 """The elasticity of whatever membrane and bending a model has, for effects that change its rest shape or wear it out.
 
-The membrane is one of :data:`MEMBRANES` and every law of the strain alone that is added to it, a user's too; the bending
-is one of :data:`BENDINGS` and :data:`STIFFENINGS`.
+The membrane is one of :data:`MEMBRANES` and every law of the strain alone that is added to it, a user's too; the
+bending is one of :data:`BENDINGS` and :data:`STIFFENINGS`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STIFFENINGS = ("extra_bending", "bending_anisotropy")
 
 
 class OfMembrane(Membrane):
-    """Base of faces whose energy follows from the model's membrane and whatever else stiffens the cloth in its plane."""
+    """Base of faces whose energy follows from the model's membrane and whatever else stiffens it in its plane."""
 
     borrows = (MEMBRANES,)
 

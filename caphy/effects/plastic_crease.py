@@ -15,10 +15,10 @@ class PlasticCrease(Hinge):
     """Friction of folds, E = dt r |M| A / l (sqrt(kappa'^2 + s^2) - s) [J] per interior edge.
 
     M is the elastic moment of the model's own bending, with extra_bending and bending_anisotropy where it has them, at
-    the last converged state and kappa' = l / A dtheta/dt the rate of curvature. Closing a fold takes (1 + r) of the elastic moment, opening it gives back (1 - r): the cloth
-    recovers only that share, and at r = 1 no fold opens by itself. Below the rate s friction fades into viscosity, so
-    that the potential is smooth and creases smooth out at rates below s. What stays is held by friction, not by a
-    memory of its own: a crease ironed flat is gone.
+    the last converged state and kappa' = l / A dtheta/dt the rate of curvature. Closing a fold takes (1 + r) of the
+    elastic moment, opening it gives back (1 - r): the cloth recovers only that share, and at r = 1 no fold opens by
+    itself. Below the rate s friction fades into viscosity, so that the potential is smooth and creases smooth out at
+    rates below s. What stays is held by friction, not by a memory of its own: a crease ironed flat is gone.
     """
 
     name = "plastic_crease"

@@ -149,9 +149,15 @@ def register_file(path: Path) -> list[str]:
     _require_own_modules(path)
     beside = str(path.resolve().parent)
     sys.path.insert(0, beside)
+    earlier = sys.modules.get(spec.name)
+    sys.modules[spec.name] = module  # where dataclasses look up what is annotated
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
+        if earlier is None:
+            sys.modules.pop(spec.name, None)
+        else:
+            sys.modules[spec.name] = earlier
         raise CaphyError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
     finally:
         with suppress(ValueError):  # the file itself may have put its paths right
