@@ -13,10 +13,12 @@ from caphy.cli import main
 from caphy.effects import registry
 from caphy.effects.base import Step
 from caphy.effects.battery import degenerate_is_finite, same_in_every_frame, same_in_every_place
+from caphy.effects.candidates import candidates
 from caphy.effects.model import Model
 from caphy.effects.own import use_file
 from caphy.effects.potential import Potential
-from caphy.effects.registry import register_file
+from caphy.effects.presets import snug_model
+from caphy.effects.registry import register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
 from caphy.effects.sources import sources
 from caphy.effects.trial import irregular_cloth, moment
@@ -43,6 +45,7 @@ def _written(path: Path, old: str = "", new: str = "") -> Path:
     [
         (f"float('nan') * {ENERGY}", "must have a finite energy and gradient, but has none on shaken cloth"),
         ('e.rest["area"] * dot(v, v).sqrt()', "but has none on cloth at rest"),
+        ('e.rest["area"] * dot(v, v) ** 1.25', "must have a finite Hessian, but has none on cloth at rest; .* write"),
         ("None", "must return the energy of each element"),
         ("1 / 0", r"\.energy fails: ZeroDivisionError: division by zero"),
     ],
@@ -70,6 +73,28 @@ def test_what_fails_later_is_said_with_its_file(tmp_path, raised):
 def test_what_works_is_taken(tmp_path):
     assert use_file(_written(tmp_path / "mine.py")) == ["my_wind"]
     assert use_file(tmp_path / "mine.py") == ["my_wind"]  # once more by another command
+
+
+def test_a_smoothed_power_is_taken(tmp_path):
+    energy = 'e.dt * p["coefficient"] * e.rest["area"] * (dot(slip, slip) + 1e-12) ** 1.25'
+    assert use_file(_written(tmp_path / "mine.py", ENERGY, energy)) == ["my_wind"]
+
+
+def test_what_can_never_be_absent_is_no_coefficient(tmp_path):
+    above = ("0.0, 100.0", "0.1, 100.0")
+    with pytest.raises(CaphyError, match=r"coefficient must have 0 within its bounds, .* absent .*\[0\.1, 100\]"):
+        use_file(_written(tmp_path / "mine.py", *above))
+    path = tmp_path / "mine.py"
+    path.write_text(WIND.replace(*above).replace("    needs_step", "    coefficients = ()\n    needs_step"))
+    assert use_file(path) == ["my_wind"]
+    assert "my_wind" not in candidates(snug_model())
+
+
+def test_a_further_parameter_may_be_above_zero(tmp_path):
+    """As the frequency of gusts, in which nothing is linear."""
+    path = _written(tmp_path / "mine.py", "-50.0, 50.0", "0.0, 50.0")
+    path.write_text(path.read_text().replace("(1.0, 0.0, 0.5)", "(1.0, 0.2, 0.5)").replace("0.0, 50.0", "0.1, 50.0"))
+    assert use_file(path) == ["my_wind"]
 
 
 def test_two_effects_of_one_name_are_told(tmp_path):
@@ -295,3 +320,8 @@ def test_what_an_effect_reads_is_a_part_of_it(tmp_path):
     assert Kept(tmp_path / "kept", [path]).key("x") == before
     (tmp_path / "table.json").write_text("0.7")
     assert Kept(tmp_path / "kept", [path]).key("x") != before
+
+
+def test_the_librarys_coefficients_may_all_be_absent():
+    for name, effect in registered_effects().items():
+        registry._check_coefficients(effect, name)
