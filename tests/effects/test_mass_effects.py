@@ -96,6 +96,17 @@ def test_openings_are_counted_from_the_lowest() -> None:
     assert [cloth.vertices[loop, 1].max() for loop in ordered_loops(cloth)] == pytest.approx([0, 0.2])
 
 
+@pytest.mark.parametrize("height", [1.0149, 1.0049, 0.0])
+def test_cuffs_a_fifth_of_a_millimetre_apart_are_level(height: float) -> None:
+    """Wherever they are; 2 cm apart the lower one comes first."""
+    right, left = (np.array([[x, 0, 0], [x + 0.1, 0, 0], [x, 0, 0.1]]) for x in (-1.0, 1.0))
+    for apart, first in ((0.0002, 3), (-0.0002, 3), (0.02, 0), (-0.02, 3)):
+        vertices = np.concatenate([right, left + np.array((0, apart, 0))]) + np.array((0, height, 0))
+        faces = np.array([[0, 1, 2], [3, 4, 5]])
+        cloth = Cloth(vertices, faces, vertices[faces][..., [0, 2]], DENSITY, np.zeros(6), np.zeros(6))
+        assert [loop.min() for loop in ordered_loops(cloth)] == [first, 3 - first]
+
+
 def test_a_hem_weighs_its_line_density_times_its_length() -> None:
     cloth = tube()
     densities = (0.01, 0.03, 5.0, 5.0)
