@@ -305,8 +305,18 @@ def _alternatives(entry: str | tuple[str, ...]) -> tuple[str, ...]:
 
 
 def companions(effect: Effect) -> tuple[str, ...]:
-    """A choice of effects that a model must have beside this one: the first of each set of alternatives."""
-    return tuple(_alternatives(entry)[0] for entry in effect.borrows)
+    """A choice of effects that a model must have beside this one: the first of each set of alternatives, and what those
+    need themselves."""
+    from caphy.effects.registry import find_effect
+
+    found = dict.fromkeys(_alternatives(entry)[0] for entry in effect.borrows)
+    left = list(found)
+    while left:
+        further = [_alternatives(entry)[0] for entry in find_effect(left.pop()).borrows]
+        left += [name for name in further if name not in found]
+        found |= dict.fromkeys(further)
+    found.pop(effect.name, None)
+    return tuple(found)
 
 
 def needs(effect: Effect) -> str:

@@ -97,6 +97,13 @@ def test_a_further_parameter_may_be_above_zero(tmp_path):
     assert use_file(path) == ["my_wind"]
 
 
+def test_what_is_borrowed_may_borrow_itself(tmp_path):
+    """Friction needs contact: whoever reads its coefficient is tried beside both."""
+    path = _written(tmp_path / "mine.py", 'p["coefficient"]', 'p["coefficient"] * p["body_friction.coefficient"]')
+    path.write_text(path.read_text().replace("    needs_step", '    borrows = ("body_friction",)\n    needs_step'))
+    assert use_file(path) == ["my_wind"]
+
+
 def test_two_effects_of_one_name_are_told(tmp_path):
     register_file(_written(tmp_path / "mine.py"))
     with pytest.raises(CaphyError, match=r"there is another effect 'my_wind' in .*mine\.py"):
@@ -239,8 +246,9 @@ def test_declarations_that_mean_nothing_are_refused(tmp_path, old, new, says):
         use_file(_written(tmp_path / "mine.py", old, new))
 
 
-def test_elements_are_numbered_by_whole_numbers(tmp_path):
-    index = "    def index(self, cloth):\n        return 1.0 * cloth.hinges[:, :1]\n\n    def rest("
+@pytest.mark.parametrize("numbers", ["1.0 * cloth.hinges[:, :1]", "cloth.vertices[:, :1] > 0"])
+def test_elements_are_numbered_by_whole_numbers(tmp_path, numbers):
+    index = f"    def index(self, cloth):\n        return {numbers}\n\n    def rest("
     with pytest.raises(CaphyError, match="my_wind: index must give numbers of vertices, whole ones"):
         use_file(_written(tmp_path / "mine.py", "    def rest(", index))
 
