@@ -12,7 +12,13 @@ from test_registry import WIND
 from caphy.cli import main
 from caphy.effects import registry
 from caphy.effects.base import Step
-from caphy.effects.battery import degenerate_is_finite, same_in_every_frame, same_in_every_place
+from caphy.effects.battery import (
+    degenerate_is_finite,
+    parameter_slopes,
+    parameters_matter,
+    same_in_every_frame,
+    same_in_every_place,
+)
 from caphy.effects.candidates import candidates
 from caphy.effects.model import Model
 from caphy.effects.own import use_file
@@ -102,6 +108,38 @@ def test_what_is_borrowed_may_borrow_itself(tmp_path):
     path = _written(tmp_path / "mine.py", 'p["coefficient"]', 'p["coefficient"] * p["body_friction.coefficient"]')
     path.write_text(path.read_text().replace("    needs_step", '    borrows = ("body_friction",)\n    needs_step'))
     assert use_file(path) == ["my_wind"]
+
+
+@pytest.mark.parametrize("bounds", ["", ", 0.0, 50.0", ", -50.0, 0.0", ", -0.01, 0.05"])
+@pytest.mark.parametrize("drifts", ["v - drift", "v - drift * drift"])
+def test_a_parameter_may_be_zero_by_default(tmp_path, bounds, drifts):
+    """A linear one, and one around which the energy is even; also where its bounds begin or end there."""
+    path = _written(
+        tmp_path / "mine.py",
+        '"wind": Parameter((1.0, 0.0, 0.5), "m/s", -50.0, 50.0, linear=False, doc="velocity of the air"),',
+        f'"drift": Parameter(0.0, "m/s"{bounds}, linear=False, doc="velocity of the air"),',
+    )
+    path.write_text(
+        path.read_text().replace(
+            'slip = v - p["wind"].reshape(3, *(1,) * (v.dim() - 1))', f'drift = p["drift"]\n        slip = {drifts}'
+        )
+    )
+    assert use_file(path) == ["my_wind"]
+    parameters_matter("my_wind")
+    parameter_slopes("my_wind")
+
+
+def test_a_linear_parameter_may_be_zero_by_default(tmp_path):
+    for bounds in ("", ", 0.0, 50.0"):
+        path = _written(
+            tmp_path / "mine.py",
+            '"wind": Parameter(',
+            f'"push": Parameter(0.0, "N/m^2"{bounds}, doc="pull"),\n        "wind": Parameter(',
+        )
+        path.write_text(path.read_text().replace(ENERGY, f'{ENERGY} - e.dt * p["push"] * e.rest["area"] * v[1]'))
+        assert use_file(path) == ["my_wind"]
+        parameters_matter("my_wind")
+        parameter_slopes("my_wind")
 
 
 def test_two_effects_of_one_name_are_told(tmp_path):
