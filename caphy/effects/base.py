@@ -319,6 +319,21 @@ def companions(effect: Effect) -> tuple[str, ...]:
     return tuple(found)
 
 
+def lending(effect: Effect, present: Iterable[str]) -> tuple[str, ...]:
+    """Those of ``present`` effects without which this one would not be the same: its lenders, and theirs."""
+    from caphy.effects.registry import find_effect
+
+    names = set(present)
+    found = dict.fromkeys(effect.lenders(names) or ())
+    left = list(found)
+    while left:
+        further = find_effect(left.pop()).lenders(names) or ()
+        left += [name for name in further if name not in found]
+        found |= dict.fromkeys(further)
+    found.pop(effect.name, None)
+    return tuple(found)
+
+
 def needs(effect: Effect) -> str:
     """What a model must have beside an effect, in words."""
     return " and ".join(" or ".join(_alternatives(entry)) for entry in effect.borrows)
