@@ -185,6 +185,7 @@ def _description(effect: Effect) -> str:
         "acts only in motion" * effect.needs_step,
         "acts only on a body" * effect.needs_body,
         f"needs {needs(effect)}" * bool(effect.borrows),
+        f"reads too, where there: {', '.join(effect.heeds)}" * bool(effect.heeds),
         f"does nothing where zero: {', '.join(effect.coefficients)}" * bool(effect.coefficients),
     ]
     lines += ["", *filter(None, traits), f"Reference: {effect.reference}"]

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import Effect, Elements, Values
+from caphy.effects.base import Effect, Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
 from caphy.effects.vectors import cross, dot, norm
 
@@ -108,15 +108,17 @@ class Air(Effect):
         return across if self.across else field - across
 
 
-def squared(found: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def squared(found: Mapping[str, np.ndarray], within: Parameter) -> dict[str, Any]:
     """The quadratic law that pushes resting cloth as a linear wind with ``coefficient`` and ``push`` does.
 
-    Where the push f comes with hardly any drag the linear law knows no velocity; then it is :data:`FASTEST`.
+    Where the push f comes with hardly any drag the linear law knows no velocity; then it is :data:`FASTEST`. Where it
+    is so slow that the coefficient would leave the bounds of ``within``, the wind is as fast as they need.
     """
     push = np.asarray(found["push"], dtype=float)
     size = max(float(np.linalg.norm(push)), 1e-12)
     speed = min(size / max(float(found["coefficient"]), 1e-12), FASTEST)
-    return {"coefficient": size / speed**2, "velocity": push / size * speed}
+    coefficient = float(np.clip(size / speed**2, within.lower, within.upper))
+    return {"coefficient": coefficient, "velocity": push / size * np.sqrt(size / coefficient)}
 
 
 def lagged_normal(e: Elements) -> Tensor:

@@ -231,6 +231,7 @@ class Effect:
             values at which to look for it; with none it is looked for as by default.
         borrows: other effects whose parameters it reads too, as ``p["body_contact.stiffness"]``; the model must have
             them. Of a tuple of alternatives the model must have at least one, and those it has are lent.
+        heeds: other effects whose parameters it reads where the model has them, and can do without.
     """
 
     name: ClassVar[str]
@@ -248,6 +249,7 @@ class Effect:
     refines: ClassVar[str | None] = None
     further: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     borrows: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
+    heeds: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)
@@ -268,7 +270,8 @@ class Effect:
         """Those of ``present`` effects whose parameters this one reads; None if it lacks one that it needs."""
         names = set(present)
         found = [[other for other in _alternatives(entry) if other in names] for entry in self.borrows]
-        return tuple(other for some in found for other in some) if all(found) else None
+        found.append([other for other in self.heeds if other in names])
+        return tuple(other for some in found for other in some) if all(found[:-1]) else None
 
     def index(self, cloth: Cloth) -> np.ndarray:
         """Vertex indices of each element, (n, k). Override to act on some elements only (a waistband, a hem)."""
@@ -341,8 +344,33 @@ def _alternatives(entry: str | tuple[str, ...]) -> tuple[str, ...]:
 
 
 def companions(effect: Effect) -> tuple[str, ...]:
-    """A choice of effects that a model must have beside this one: the first of each set of alternatives."""
-    return tuple(_alternatives(entry)[0] for entry in effect.borrows)
+    """A choice of effects that a model must have beside this one: the first of each set of alternatives, and what those
+    need themselves."""
+    from caphy.effects.registry import find_effect
+
+    found = dict.fromkeys(_alternatives(entry)[0] for entry in effect.borrows)
+    left = list(found)
+    while left:
+        further = [_alternatives(entry)[0] for entry in find_effect(left.pop()).borrows]
+        left += [name for name in further if name not in found]
+        found |= dict.fromkeys(further)
+    found.pop(effect.name, None)
+    return tuple(found)
+
+
+def lending(effect: Effect, present: Iterable[str]) -> tuple[str, ...]:
+    """Those of ``present`` effects without which this one would not be the same: its lenders, and theirs."""
+    from caphy.effects.registry import find_effect
+
+    names = set(present)
+    found = dict.fromkeys(effect.lenders(names) or ())
+    left = list(found)
+    while left:
+        further = find_effect(left.pop()).lenders(names) or ()
+        left += [name for name in further if name not in found]
+        found |= dict.fromkeys(further)
+    found.pop(effect.name, None)
+    return tuple(found)
 
 
 def needs(effect: Effect) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import BodyState, Effect, Step, companions
+from caphy.effects.base import BodyState, Effect, Parameter, Step, companions
 from caphy.effects.cloth import Cloth
 from caphy.effects.compiled import KERNELS
 from caphy.effects.model import Model, ParameterValues
@@ -316,16 +316,25 @@ def refinement_converges(name: str) -> None:
     assert abs(fine - middle) <= 0.1 * abs(fine), f"energies {energies} J are far from settled"
 
 
+def _varied(parameter: Parameter) -> tuple[np.ndarray, np.ndarray]:
+    """A value, the default where its bounds leave room, and by how much to vary it, up and down: a fifth of the
+    default, or where that is zero a tenth of what lies between the bounds, at most one of the unit."""
+    default = np.asarray(parameter.default, dtype=float)
+    room = parameter.upper - parameter.lower
+    change = 0.2 * np.abs(default) if default.any() else np.full_like(default, min(1.0, 0.1 * room))
+    change = np.minimum(change, 0.5 * room)
+    return np.asarray(np.clip(default, parameter.lower + change, parameter.upper - change)), change
+
+
 def parameters_matter(name: str) -> None:
     """Every parameter changes the energy; those called linear do so linearly."""
     cloth = irregular_cloth()
     at = moment(cloth)
     for key, parameter in find_effect(name).parameters.items():
-        default = np.asarray(parameter.default, dtype=float)
-        values = [np.clip(default * share, parameter.lower, parameter.upper) for share in (0.8, 1.0, 1.2)]
-        low, middle, high = (_energy(name, cloth, at, **{key: value}) for value in values)
-        change = abs(high - low)
-        assert change > 1e-9 * abs(middle), f"{key} must change the energy"
+        value, change = _varied(parameter)
+        values = [np.clip(value + k * change, parameter.lower, parameter.upper) for k in (-1, 0, 1)]
+        low, middle, high = (_energy(name, cloth, at, **{key: each}) for each in values)
+        assert max(low, middle, high) - min(low, middle, high) > 1e-9 * abs(middle), f"{key} must change the energy"
         if parameter.linear:
             assert abs(low + high - 2 * middle) <= 1e-9 * abs(middle), f"{key} is called linear but is not"
 
@@ -334,16 +343,17 @@ def parameter_slopes(name: str) -> None:
     """The derivative of the gradient by each parameter against central differences."""
     cloth = irregular_cloth()
     at, potential = moment(cloth), _potential(name, cloth)
-    found = potential.parameter_gradients(at.x, at.step, at.body)
+    term = potential.terms[name]
     for key, parameter in find_effect(name).parameters.items():
-        default = np.asarray(parameter.default, dtype=float)
-        h = 1e-5 * max(float(np.abs(default).max()), 1e-12)
-        for entry in np.ndindex(default.shape):
+        middle, change = _varied(parameter)
+        h = 5e-5 * float(change.max())
+        potential.terms[name] = replace(term, values={**term.values, key: torch.as_tensor(middle)})
+        found = potential.parameter_gradients(at.x, at.step, at.body, {f"{name}.{key}"})
+        for entry in np.ndindex(middle.shape):
             forces = []
             for sign in (1, -1):
-                value = default.copy()
+                value = middle.copy()
                 value[entry] += sign * h
-                term = potential.terms[name]
                 moved = replace(term, values={**term.values, key: torch.as_tensor(value)})
                 elements = potential.elements(moved, at.x, at.step, at.body)
                 forces.append(moved.scatter(moved.effect.gradient(elements, moved.values)[1]).movedim(0, -1))

@@ -15,10 +15,10 @@ class BodyFriction(Effect):
     """Coulomb friction on the moving body, E = dt mu N (sqrt(|v_t|^2 + s^2) - s) [J] per vertex.
 
     v_t is the tangential velocity relative to the body and s the slip speed below which friction is viscous, so that
-    the potential is smooth. N = 3 k a d^2 is the normal force of ``body_contact``. It is told of other positions than
-    those that are looked for, or there would be no potential: of x(t-1) + dt v_body, the last converged state carried
-    along with the body, or of where a solver says that the step ends (``pressed``), as the reference solver does, which
-    goes on until that is so.
+    the potential is smooth. N = 3 k a d^2 is the normal force of ``body_contact`` and, where the model has it,
+    ``contact_thickness``. It is told of other positions than those that are looked for, or there would be no potential:
+    of x(t-1) + dt v_body, the last converged state carried along with the body, or of where a solver says that the step
+    ends (``pressed``), as the reference solver does, which goes on until that is so.
     """
 
     name = "body_friction"
@@ -33,6 +33,7 @@ class BodyFriction(Effect):
     needs_step = True
     needs_body = True
     borrows = ("body_contact",)
+    heeds = ("contact_thickness",)
 
     def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
         return {"area": cloth.vertex_area, "layer": cloth.layer_thickness}
@@ -71,7 +72,9 @@ def _grip(e: Elements, p: Values) -> Tensor:
     (pressed,) = e.lagged + e.dt * e.body["velocity"] if e.pressed is None else e.pressed
     height = dot(e.body["normal"], pressed - e.body["point"])
     skin = p["body_contact.distance"] + e.rest["layer"]
-    depth = torch.minimum((skin - height).clamp_min(0), skin)  # body_contact pushes no harder inside
+    if "contact_thickness.thickness" in p:
+        skin = skin + p["contact_thickness.thickness"]
+    depth = torch.minimum((skin - height).clamp_min(0), skin.clamp_min(0))  # contact pushes no harder inside
     return 3 * e.dt * p["coefficient"] * p["body_contact.stiffness"] * e.rest["area"] * depth * depth
 
 

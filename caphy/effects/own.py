@@ -22,7 +22,8 @@ def use_file(path: Path) -> list[str]:
     (:func:`caphy.effects.sources.sources`).
 
     Raises:
-        CaphyError: one cannot be registered, fails, is not finite there, or has derivatives that are not its energy's.
+        CaphyError: one cannot be registered, fails, is not finite there (nor its Hessian), or has derivatives that are
+            not its energy's.
     """
     with reading(path):
         names = register_file(path)
@@ -54,6 +55,13 @@ def _try(name: str, path: Path) -> None:
     for what, parts in told.items():
         if not all(bool(part.isfinite().all()) for part in parts):
             raise CaphyError(f"{where} must have a finite energy and gradient, but has none on {what}; {advice}")
+    for what, x, step in (("shaken cloth", at.x, at.step), ("cloth at rest", rest, still)):
+        elements = next(each for other, _, each in potential.acting(x, step, at.body) if other == name)
+        if not bool(effect.hessian(elements, potential.terms[name].values).isfinite().all()):
+            raise CaphyError(
+                f"{where} must have a finite Hessian, but has none on {what}; a power of what is zero there has none: "
+                f"write (dot(v, v) + 1e-12) ** 1.25 for dot(v, v) ** 1.25; {advice}"
+            )
     _try_derivatives(name, where, advice)
     _try_projection(potential, name, at, where, advice)
 

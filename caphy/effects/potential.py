@@ -118,7 +118,7 @@ class Potential:
             return torch.as_tensor(value, dtype=self.dtype, device=self.device)
 
         index = torch.as_tensor(effect.index(self.cloth))
-        if index.is_floating_point():
+        if index.is_floating_point() or index.dtype == torch.bool:  # truths are not the vertices 0 and 1
             raise CaphyError(f"{name}: index must give numbers of vertices, whole ones, got {index.dtype}")
         index = index.to(torch.int64)
         values = {key: tensor(value) for key, value in self.model.effects[name].items()}

@@ -83,6 +83,7 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
         raise CaphyError(f"{where}: must define start(self, found), since it refines {effect.refines}")
     if unknown := [key for key in effect.coefficients if key not in effect.parameters]:
         raise CaphyError(f"{where}: coefficients must name parameters ({list(effect.parameters)}), got {unknown}")
+    _check_coefficients(effect, where)
     others = [key for key in effect.parameters if key not in effect.coefficients]
     if unknown := [key for key in effect.further if key not in others]:
         raise CaphyError(f"{where}: further must name parameters that are no coefficients ({others}), got {unknown}")
@@ -92,6 +93,17 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
             raise CaphyError(
                 f"{where}: further must look for one number {key} in [{declared.lower:g}, {declared.upper:g}] "
                 f"{declared.unit}, got {values}"
+            )
+
+
+def _check_coefficients(effect: type[Effect], where: str) -> None:
+    for key in effect.coefficients:
+        declared = effect.parameters[key]
+        if not declared.lower <= 0 <= declared.upper:
+            raise CaphyError(
+                f"{where}: coefficient {key} must have 0 within its bounds, where the effect is absent and from where "
+                f"a diagnosis looks for it, got [{declared.lower:g}, {declared.upper:g}] {declared.unit}; widen them, "
+                "or leave it out of coefficients"
             )
 
 
@@ -149,9 +161,15 @@ def register_file(path: Path) -> list[str]:
     _require_own_modules(path)
     beside = str(path.resolve().parent)
     sys.path.insert(0, beside)
+    earlier = sys.modules.get(spec.name)
+    sys.modules[spec.name] = module  # where dataclasses look up what is annotated
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
+        if earlier is None:
+            sys.modules.pop(spec.name, None)
+        else:
+            sys.modules[spec.name] = earlier
         raise CaphyError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
     finally:
         with suppress(ValueError):  # the file itself may have put its paths right

@@ -30,8 +30,9 @@ class {class_name}(Effect):
     element = "vertex"  # or "edge", "face", "hinge" (an edge with its two triangles)
     group = "other"  # the family it belongs to: drag, wind, damping, stiffness, rest shape, mass, contact, external
     parameters = {{
-        # default, unit, lower and upper bound; linear=False where the energy is not linear in it: it is held at its
-        # default then, unless  further = {{"its name": (values at which to look for it, ...)}}  says to fit it too
+        # default, unit, lower and upper bound, with 0 among them: no effect; linear=False where the energy is not
+        # linear in it, which may be held away from 0: it is held at its default then, unless
+        # further = {{"its name": (values at which to look for it, ...)}}  says to fit it too
         "coefficient": Parameter(0.5, "N s/m^3", 0.0, 100.0, doc="say what it measures"),
     }}
     reference = "say where the effect or its formula comes from"

@@ -12,8 +12,8 @@ LOOPS = 4
 do nothing, and what is sewn to a fifth cannot be said."""
 
 LEVEL = 0.01
-"""Openings whose mean heights differ by less than this [m] count as level, such as two cuffs; the one at greater x
-(the wearer's left) comes first."""
+"""Openings whose mean heights differ by less than this [m] from that of the next one count as level, such as two cuffs;
+the one at greater x (the wearer's left) comes first."""
 
 
 def seams(cloth: Cloth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -30,12 +30,12 @@ def seams(cloth: Cloth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def ordered_loops(cloth: Cloth) -> list[np.ndarray]:
     """Boundary loops of a cloth, each in order of its faces' winding, by mean height and then from the left."""
-
-    def place(loop: np.ndarray) -> tuple[float, float]:
-        x, y, _ = cloth.vertices[loop].mean(0)
-        return round(y / LEVEL), -x
-
-    return sorted(boundary_loops(cloth.faces), key=place)
+    loops = boundary_loops(cloth.faces)
+    x, y, _ = np.array([cloth.vertices[loop].mean(0) for loop in loops]).reshape(-1, 3).T
+    upwards = np.argsort(y, kind="stable")
+    level = np.zeros(len(loops), dtype=int)
+    level[upwards[1:]] = np.cumsum(np.diff(y[upwards]) >= LEVEL)
+    return [loops[k] for k in np.lexsort((-x, level))]
 
 
 def per_loop(number: np.ndarray, amount: np.ndarray) -> np.ndarray:

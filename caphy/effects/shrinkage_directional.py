@@ -5,16 +5,17 @@ from __future__ import annotations
 from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
-from caphy.effects.lending import MEMBRANES
-from caphy.effects.membrane import Membrane, Symmetric
+from caphy.effects.lending import OfMembrane
+from caphy.effects.membrane import Symmetric
 from caphy.effects.shrinkage import shrunk_density
 
 
-class ShrinkageDirectional(Membrane):
+class ShrinkageDirectional(OfMembrane):
     """A rest shape shorter by s_u along the weft and s_v along the warp [J] per face.
 
-    E = A ((1 - s_u)(1 - s_v) psi(G') - psi(G)) with psi the model's own membrane and G' the strain from the smaller
-    rest shape, as in shrinkage, which this is where both are the same. Negative values let the cloth grow.
+    E = A ((1 - s_u)(1 - s_v) psi(G') - psi(G)) with psi the model's own membrane and what stiffens it, and G' the
+    strain from the smaller rest shape, as in shrinkage, which this is where both are the same. Negative values let the
+    cloth grow.
     """
 
     name = "shrinkage_directional"
@@ -26,7 +27,6 @@ class ShrinkageDirectional(Membrane):
     }
     coefficients = ("weft", "warp")
     reference = "multiplicative split of eigenstrain: Lee, Elastic-plastic deformation at finite strains, 1969"
-    borrows = (MEMBRANES,)
 
     def density(self, strain: Symmetric, e: Elements, p: Values) -> Tensor:
-        return shrunk_density(strain, 1 - p["weft"], 1 - p["warp"], p)
+        return shrunk_density(strain, 1 - p["weft"], 1 - p["warp"], e, p)

@@ -32,7 +32,7 @@ class WindNormalQuadratic(Air):
     reference = "Hoerner, Fluid-dynamic drag, 1965, chapter 3 (drag of plates)"
 
     def start(self, found: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        return squared(found)
+        return squared(found, self.parameters["coefficient"])
 
     def wind(self, e: Elements, p: Values) -> Tensor:
         return uniform(p["velocity"], e.x[0])

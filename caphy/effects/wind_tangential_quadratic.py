@@ -33,7 +33,7 @@ class WindTangentialQuadratic(Air):
     reference = "Schlichting, Boundary-layer theory, 1979, chapter 21 (rough plates)"
 
     def start(self, found: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        return squared(found)
+        return squared(found, self.parameters["coefficient"])
 
     def wind(self, e: Elements, p: Values) -> Tensor:
         return uniform(p["velocity"], e.x[0])

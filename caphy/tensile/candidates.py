@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from caphy.effects.base import companions
+from caphy.effects.base import companions, lending
 from caphy.effects.lending import MEMBRANES
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect, registered_effects
@@ -56,8 +56,8 @@ def _why_unseen(model: Model, name: str) -> str | None:
     effect = find_effect(name)
     if not effect.internal or effect.needs_body:
         return "it acts from outside or by mass; a slow pull on a strip does not show it"
-    lending = {n: model.effects.get(n, {}) for n in (effect.lenders(model.effects) or companions(effect))}
-    alone = Model(model.density, {**lending, name: {}})
+    lenders = {n: model.effects.get(n, {}) for n in (lending(effect, model.effects) or companions(effect))}
+    alone = Model(model.density, {**lenders, name: {}})
     tables = _tables(alone, name)
     if np.abs(tables).max() < _SMALLEST:
         return "it does not change a pull along weft or warp"

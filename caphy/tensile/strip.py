@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from caphy.effects.base import Parameter, Step
+from caphy.effects.base import Parameter, Step, lending
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect
@@ -88,7 +88,7 @@ class Strip:
 
     def _cached(self, model: Model, name: str, slope: np.ndarray | None) -> Table:
         effect = find_effect(name)
-        needed = (name, *(effect.lenders(model.effects) or ()))
+        needed = (name, *lending(effect, model.effects))
         values = [(n, k, np.asarray(v).tobytes()) for n in needed for k, v in sorted(model.effects[n].items())]
         key = (name, tuple(values), None if slope is None else slope.tobytes())
         if key not in self._tables:
@@ -98,8 +98,8 @@ class Strip:
         return self._tables[key]
 
     def _evaluated(self, model: Model, name: str, slope: np.ndarray | None) -> Table:
-        lenders = find_effect(name).lenders(model.effects) or ()
-        alone = Model(model.density, {n: model.effects[n] for n in (name, *lenders)})
+        needed = (name, *lending(find_effect(name), model.effects))
+        alone = Model(model.density, {n: model.effects[n] for n in needed})
         potential = Potential(alone, square_cloth(self.side, model.density))
         potential.terms = {name: potential.terms[name]}
         along, across = (torch.from_numpy(np.broadcast_to(s, self._shape[1:]).copy()) for s in self._stretches)

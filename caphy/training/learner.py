@@ -9,7 +9,7 @@ import torch
 from scipy.sparse import csc_array
 from torch import Tensor, nn
 
-from caphy.effects.base import BodyState, Step
+from caphy.effects.base import BodyState, Step, lending
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect
@@ -34,7 +34,7 @@ def stiffness(potential: Potential, fps: float) -> csc_array:
 
 def _without_contact(model: Model) -> Model:
     """The model without contact and without what reads it."""
-    reads = {name for name in model.effects if "body_contact" in (find_effect(name).lenders(model.effects) or ())}
+    reads = {name for name in model.effects if "body_contact" in lending(find_effect(name), model.effects)}
     kept = {name: values for name, values in model.effects.items() if name not in {"body_contact", *reads}}
     return replace(model, effects=kept)
 

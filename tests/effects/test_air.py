@@ -135,3 +135,13 @@ def test_a_push_without_drag_is_a_fast_wind() -> None:
     )
     np.testing.assert_allclose(values["velocity"], [0.0, 0.0, FASTEST])
     assert values["coefficient"] == pytest.approx(1.0 / FASTEST**2)
+
+
+@pytest.mark.parametrize("side", ["normal", "tangential"])
+def test_a_quadratic_wind_starts_within_its_bounds(side: str) -> None:
+    """A push of hardly anything with all its drag is no wind of 0.8 mm/s and 1,440 kg/m^3."""
+    law, push = f"wind_{side}_quadratic", np.array([0.0, 0.0, 1e-3])
+    for size in (1.0, 1e-9, 0.0):
+        values = find_effect(law).start({"coefficient": np.array(1.2), "push": size * push})
+        taken = Model(DENSITY, {law: values}).effects[law]
+        np.testing.assert_allclose(taken["coefficient"] * taken["velocity"][2] ** 2, size * push[2], atol=1e-11)

@@ -15,15 +15,17 @@ from caphy.effects.hinge import dihedral
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect
-from caphy.effects.trial import flat_cloth, grid
+from caphy.effects.trial import flat_cloth, grid, irregular_cloth, moment
 
 LENGTH, AREA = 0.02, 2 * 0.5 * 0.02 * 0.01
 
 
-def fold() -> Cloth:
-    vertices = np.array([[0, 0, 0], [0, LENGTH, 0], [-0.01, 0.01, 0], [0.01, 0.01, 0]])
+def fold(rest: float = 0.0) -> Cloth:
+    flat = np.array([[0, 0, 0], [0, LENGTH, 0], [-0.01, 0.01, 0], [0.01, 0.01, 0]])
     faces = np.array([[0, 1, 2], [1, 0, 3]])
-    return Cloth(vertices, faces, vertices[faces][..., :2], DENSITY, np.zeros(4), np.zeros(4))
+    vertices = flat.copy()
+    vertices[3] = (0.01 * np.cos(rest), 0.01, -0.01 * np.sin(rest))
+    return Cloth(vertices, faces, flat[faces][..., :2], DENSITY, np.zeros(4), np.zeros(4))
 
 
 def folded(angle: float) -> torch.Tensor:
@@ -32,9 +34,9 @@ def folded(angle: float) -> torch.Tensor:
     return torch.as_tensor(x)
 
 
-def moment_at(angle: float, before: float, **effects: Any) -> float:
+def moment_at(angle: float, before: float, rest: float = 0.0, **effects: Any) -> float:
     """d energy / d angle [N m] of one fold that was at another angle a step ago."""
-    potential = Potential(Model(DENSITY, effects), fold())
+    potential = Potential(Model(DENSITY, effects), fold(rest))
     step = Step.implicit_euler(1 / 30, folded(before), folded(before))
     ahead, behind = (potential.gradient(folded(angle + d), step)[0] for d in (1e-6, -1e-6))
     return float(ahead - behind) / 2e-6
@@ -57,6 +59,24 @@ def test_a_crease_gives_back_less_than_it_took(law: str) -> None:
         friction = moment_at(0.5 + step, 0.5, plastic_crease=crease, **{law: {}})
         without = moment_at(0.5 + step, 0.5, **{law: {}})
         assert friction - without == pytest.approx(np.sign(step) * 0.4 * elastic, rel=1e-4)
+
+
+def test_a_crease_that_passes_through_itself_turns_by_what_it_turns() -> None:
+    """From 3.13 to 3.15 rad, beyond pi, of folds whose template is closed, not by 6.26 rad back."""
+    crease: Any = {"plastic_crease": {"share": 0.4, "slip": 1e-3}}
+    for law in ("bending", "bending_measured"):
+        elastic = moment_at(3.13, 3.13, 2.0, **{law: {}})
+        friction = moment_at(3.15, 3.13, 2.0, **{law: {}}, **crease) - moment_at(3.15, 3.13, 2.0, **{law: {}})
+        assert friction == pytest.approx(0.4 * elastic, rel=1e-4)
+        lagged = moment_at(3.17, 3.15, 2.0, **{law: {}}, **crease) - moment_at(3.17, 3.15, 2.0, **{law: {}})
+        assert lagged == pytest.approx(0.4 * moment_at(3.15, 3.15, 2.0, **{law: {}}), rel=1e-4)
+
+
+def test_curved_cloth_that_passes_through_itself_does_not_jump() -> None:
+    effects: Any = {"bending": {}, "natural_curvature": {"weft": 50.0, "warp": 0.0}}
+    potential = Potential(Model(DENSITY, effects), fold(2.0))
+    before, after = (float(potential.gradient(folded(angle))[0]) for angle in (np.pi - 1e-9, np.pi + 1e-9))
+    assert after == pytest.approx(before, rel=1e-6)
 
 
 def test_extra_and_directional_bending_add_to_the_models() -> None:
@@ -91,6 +111,17 @@ def test_curved_cloth_rests_on_a_cylinder_of_its_curvature(law: str, axis: int) 
     energies = [energy(bent) for bent in bends]
     assert bends[int(np.argmin(energies))] * radius == pytest.approx(1, abs=0.011)
     assert min(energies) == pytest.approx(0, abs=1e-3 * energy(1e-3 / radius))
+
+
+def test_what_stiffens_folds_rests_curved_and_creases_with_them() -> None:
+    stiffer: Any = {"extra_bending": {"stiffness": 4e-5}, "bending_anisotropy": {"difference": 1e-5}}
+    whole: Any = {"bending": {"stiffness_weft": 9e-5, "stiffness_warp": 7e-5}}
+    parts: Any = {"bending": {"stiffness_weft": 4e-5, "stiffness_warp": 4e-5}, **stiffer}
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    for added in ({"natural_curvature": {"weft": 9.0, "warp": -4.0}}, {"plastic_crease": {}}):
+        one, other = (Potential(Model(DENSITY, {**effects, **added}), cloth) for effects in (whole, parts))
+        torch.testing.assert_close(other.gradient(at.x, at.step), one.gradient(at.x, at.step))
 
 
 def test_natural_angles_are_those_of_the_surface_on_any_mesh() -> None:

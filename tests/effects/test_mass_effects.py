@@ -96,6 +96,17 @@ def test_openings_are_counted_from_the_lowest() -> None:
     assert [cloth.vertices[loop, 1].max() for loop in ordered_loops(cloth)] == pytest.approx([0, 0.2])
 
 
+@pytest.mark.parametrize("height", [1.0149, 1.0049, 0.0])
+def test_cuffs_a_fifth_of_a_millimetre_apart_are_level(height: float) -> None:
+    """Wherever they are; 2 cm apart the lower one comes first."""
+    right, left = (np.array([[x, 0, 0], [x + 0.1, 0, 0], [x, 0, 0.1]]) for x in (-1.0, 1.0))
+    for apart, first in ((0.0002, 3), (-0.0002, 3), (0.02, 0), (-0.02, 3)):
+        vertices = np.concatenate([right, left + np.array((0, apart, 0))]) + np.array((0, height, 0))
+        faces = np.array([[0, 1, 2], [3, 4, 5]])
+        cloth = Cloth(vertices, faces, vertices[faces][..., [0, 2]], DENSITY, np.zeros(6), np.zeros(6))
+        assert [loop.min() for loop in ordered_loops(cloth)] == [first, 3 - first]
+
+
 def test_a_hem_weighs_its_line_density_times_its_length() -> None:
     cloth = tube()
     densities = (0.01, 0.03, 5.0, 5.0)
@@ -151,6 +162,49 @@ def test_uniform_acceleration_is_force_per_mass() -> None:
     np.testing.assert_allclose(force, cloth.mass[:, None] * [1.0, -2.0, 3.0], rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("load", "values"),
+    [
+        ("extra_mass", {"density": 0.2}),
+        ("heavy_hem", {"line_density": (0.02, 0.01, 0.0, 0.0)}),
+        ("mass_gradient", {"gradient": 0.5}),
+    ],
+)
+def test_what_goes_by_mass_goes_by_all_mass_with_weight(load: str, values: dict) -> None:
+    """A uniform acceleration tilts gravity, and a damping is that of all mass: told by the weight of the cloth."""
+    cloth = tube()
+    x = torch.as_tensor(cloth.vertices)
+    step = moving(x, torch.tensor((1.0, -2.0, 3.0), dtype=torch.float64))
+    loaded: Any = {"gravity": {"acceleration": GRAVITY}, load: values}
+    weight = gradient(cloth, x, gravity={"acceleration": GRAVITY}, **{load: values})[:, 1:2] / 9.81
+    tilted = gradient(cloth, x, uniform_acceleration={"acceleration": (1.0, -2.0, 3.0)}, **loaded)
+    torch.testing.assert_close(tilted - gradient(cloth, x, **loaded), weight * torch.tensor([-1.0, 2.0, -3.0]))
+    damped = gradient(cloth, x, step, mass_damping={"rate": 2.0}, **loaded)
+    torch.testing.assert_close(damped - gradient(cloth, x, step, **loaded), 2 * weight * torch.tensor([1.0, -2.0, 3.0]))
+
+
+def test_slopes_by_a_load_count_the_acceleration_that_it_feels() -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    effects: Any = {"gravity": {}, "uniform_acceleration": {}, "mass_damping": {}}
+
+    def loaded(density: float) -> torch.Tensor:
+        return gradient(cloth, at.x, at.step, **effects, extra_mass={"density": density})
+
+    potential = Potential(Model(DENSITY, {**effects, "extra_mass": {"density": 0.0}}), cloth)
+    slope = potential.parameter_gradients(at.x, at.step, None, {"extra_mass.density"})["extra_mass.density"]
+    torch.testing.assert_close(slope, (loaded(0.1) - loaded(-0.1)) / 0.2)
+
+
+def test_a_pinched_mesh_can_be_accelerated() -> None:
+    """Two triangles that meet in a vertex alone: no hem can be sewn along them."""
+    vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0]])
+    faces = np.array([[0, 1, 2], [0, 3, 4]])
+    cloth = Cloth(vertices, faces, vertices[faces][..., :2], DENSITY, np.zeros(5), np.zeros(5))
+    force = -gradient(cloth, torch.as_tensor(vertices), uniform_acceleration={"acceleration": (1.0, 0.0, 0.0)})
+    np.testing.assert_allclose(force, cloth.mass[:, None] * [1.0, 0.0, 0.0], rtol=1e-12)
+
+
 @pytest.mark.parametrize("thickness", [0.002, -0.001])
 def test_thick_cloth_is_kept_at_a_greater_distance(thickness: float) -> None:
     cloth = irregular_cloth()
@@ -158,6 +212,18 @@ def test_thick_cloth_is_kept_at_a_greater_distance(thickness: float) -> None:
     contact: Any = {"stiffness": 1e8, "distance": 0.004}
     wanted = gradient(cloth, at.x, None, at.body, body_contact={**contact, "distance": 0.004 + thickness})
     got = gradient(cloth, at.x, None, at.body, body_contact=contact, contact_thickness={"thickness": thickness})
+    torch.testing.assert_close(got, wanted)
+
+
+@pytest.mark.parametrize("thickness", [0.002, -0.001])
+def test_thick_cloth_is_held_by_friction_as_at_a_greater_distance(thickness: float) -> None:
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    contact: Any = {"stiffness": 1e8, "distance": 0.004}
+    farther: Any = {**contact, "distance": 0.004 + thickness}
+    thick: Any = {"thickness": thickness}
+    wanted = gradient(cloth, at.x, at.step, at.body, body_contact=farther, body_friction={})
+    got = gradient(cloth, at.x, at.step, at.body, body_contact=contact, contact_thickness=thick, body_friction={})
     torch.testing.assert_close(got, wanted)
 
 

@@ -101,9 +101,17 @@ def test_hysteresis_takes_on_loading_what_it_withholds_on_unloading() -> None:
         assert got == pytest.approx(sign * tau * s, rel=1e-6)
 
 
+STIFFENED: dict[str, Any] = {
+    "weft_warp_stiffness": {"weft": 60.0, "warp": 20.0},
+    "shear_stiffness": {"stiffness": 9.0},
+    "strain_stiffening": {},
+}
+
+
+@pytest.mark.parametrize("stiffened", [{}, STIFFENED], ids=["plain", "stiffened"])
 @pytest.mark.parametrize("membrane", ["strain_stvk", "strain_measured"])
 @pytest.mark.parametrize(("weft", "warp"), [(0.05, 0.05), (0.08, 0.0), (-0.04, 0.1)])
-def test_shrunk_cloth_is_cloth_cut_smaller(membrane: str, weft: float, warp: float) -> None:
+def test_shrunk_cloth_is_cloth_cut_smaller(membrane: str, weft: float, warp: float, stiffened: dict) -> None:
     cloth = irregular_cloth()
     cut = Cloth(
         cloth.vertices,
@@ -114,11 +122,12 @@ def test_shrunk_cloth_is_cloth_cut_smaller(membrane: str, weft: float, warp: flo
         cloth.attached,
     )
     x = moment(cloth).x
-    wanted = gradient(cut, x, **{membrane: {}})
-    got = gradient(cloth, x, **{membrane: {}, "shrinkage_directional": {"weft": weft, "warp": warp}})
+    elastic = {membrane: {}, **stiffened}
+    wanted = gradient(cut, x, **elastic)
+    got = gradient(cloth, x, **elastic, shrinkage_directional={"weft": weft, "warp": warp})
     torch.testing.assert_close(got, wanted, rtol=1e-9, atol=1e-12)
     if weft == warp:
-        one = gradient(cloth, x, **{membrane: {}, "shrinkage": {"fraction": weft}})
+        one = gradient(cloth, x, **elastic, shrinkage={"fraction": weft})
         torch.testing.assert_close(one, wanted, rtol=1e-9, atol=1e-12)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,14 +12,22 @@ from test_registry import WIND
 from caphy.cli import main
 from caphy.effects import registry
 from caphy.effects.base import Step
-from caphy.effects.battery import degenerate_is_finite, same_in_every_frame, same_in_every_place
+from caphy.effects.battery import (
+    degenerate_is_finite,
+    parameter_slopes,
+    parameters_matter,
+    same_in_every_frame,
+    same_in_every_place,
+)
+from caphy.effects.candidates import candidates
 from caphy.effects.model import Model
 from caphy.effects.own import use_file
 from caphy.effects.potential import Potential
-from caphy.effects.registry import register_file
+from caphy.effects.presets import snug_model
+from caphy.effects.registry import register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
 from caphy.effects.sources import sources
-from caphy.effects.trial import irregular_cloth
+from caphy.effects.trial import irregular_cloth, moment
 from caphy.errors import CaphyError, Diverged, EffectFailed
 from caphy.kept import Kept
 from caphy.solve.newton import Newton
@@ -42,6 +51,7 @@ def _written(path: Path, old: str = "", new: str = "") -> Path:
     [
         (f"float('nan') * {ENERGY}", "must have a finite energy and gradient, but has none on shaken cloth"),
         ('e.rest["area"] * dot(v, v).sqrt()', "but has none on cloth at rest"),
+        ('e.rest["area"] * dot(v, v) ** 1.25', "must have a finite Hessian, but has none on cloth at rest; .* write"),
         ("None", "must return the energy of each element"),
         ("1 / 0", r"\.energy fails: ZeroDivisionError: division by zero"),
     ],
@@ -69,6 +79,67 @@ def test_what_fails_later_is_said_with_its_file(tmp_path, raised):
 def test_what_works_is_taken(tmp_path):
     assert use_file(_written(tmp_path / "mine.py")) == ["my_wind"]
     assert use_file(tmp_path / "mine.py") == ["my_wind"]  # once more by another command
+
+
+def test_a_smoothed_power_is_taken(tmp_path):
+    energy = 'e.dt * p["coefficient"] * e.rest["area"] * (dot(slip, slip) + 1e-12) ** 1.25'
+    assert use_file(_written(tmp_path / "mine.py", ENERGY, energy)) == ["my_wind"]
+
+
+def test_what_can_never_be_absent_is_no_coefficient(tmp_path):
+    above = ("0.0, 100.0", "0.1, 100.0")
+    with pytest.raises(CaphyError, match=r"coefficient must have 0 within its bounds, .* absent .*\[0\.1, 100\]"):
+        use_file(_written(tmp_path / "mine.py", *above))
+    path = tmp_path / "mine.py"
+    path.write_text(WIND.replace(*above).replace("    needs_step", "    coefficients = ()\n    needs_step"))
+    assert use_file(path) == ["my_wind"]
+    assert "my_wind" not in candidates(snug_model())
+
+
+def test_a_further_parameter_may_be_above_zero(tmp_path):
+    """As the frequency of gusts, in which nothing is linear."""
+    path = _written(tmp_path / "mine.py", "-50.0, 50.0", "0.0, 50.0")
+    path.write_text(path.read_text().replace("(1.0, 0.0, 0.5)", "(1.0, 0.2, 0.5)").replace("0.0, 50.0", "0.1, 50.0"))
+    assert use_file(path) == ["my_wind"]
+
+
+def test_what_is_borrowed_may_borrow_itself(tmp_path):
+    """Friction needs contact: whoever reads its coefficient is tried beside both."""
+    path = _written(tmp_path / "mine.py", 'p["coefficient"]', 'p["coefficient"] * p["body_friction.coefficient"]')
+    path.write_text(path.read_text().replace("    needs_step", '    borrows = ("body_friction",)\n    needs_step'))
+    assert use_file(path) == ["my_wind"]
+
+
+@pytest.mark.parametrize("bounds", ["", ", 0.0, 50.0", ", -50.0, 0.0", ", -0.01, 0.05"])
+@pytest.mark.parametrize("drifts", ["v - drift", "v - drift * drift"])
+def test_a_parameter_may_be_zero_by_default(tmp_path, bounds, drifts):
+    """A linear one, and one around which the energy is even; also where its bounds begin or end there."""
+    path = _written(
+        tmp_path / "mine.py",
+        '"wind": Parameter((1.0, 0.0, 0.5), "m/s", -50.0, 50.0, linear=False, doc="velocity of the air"),',
+        f'"drift": Parameter(0.0, "m/s"{bounds}, linear=False, doc="velocity of the air"),',
+    )
+    path.write_text(
+        path.read_text().replace(
+            'slip = v - p["wind"].reshape(3, *(1,) * (v.dim() - 1))', f'drift = p["drift"]\n        slip = {drifts}'
+        )
+    )
+    assert use_file(path) == ["my_wind"]
+    parameters_matter("my_wind")
+    parameter_slopes("my_wind")
+
+
+def test_a_linear_parameter_may_be_zero_by_default(tmp_path):
+    for bounds in ("", ", 0.0, 50.0"):
+        path = _written(
+            tmp_path / "mine.py",
+            '"wind": Parameter(',
+            f'"push": Parameter(0.0, "N/m^2"{bounds}, doc="pull"),\n        "wind": Parameter(',
+        )
+        path.write_text(path.read_text().replace(ENERGY, f'{ENERGY} - e.dt * p["push"] * e.rest["area"] * v[1]'))
+        assert use_file(path) == ["my_wind"]
+        parameters_matter("my_wind")
+        parameter_slopes("my_wind")
 
 
 def test_two_effects_of_one_name_are_told(tmp_path):
@@ -213,10 +284,55 @@ def test_declarations_that_mean_nothing_are_refused(tmp_path, old, new, says):
         use_file(_written(tmp_path / "mine.py", old, new))
 
 
-def test_elements_are_numbered_by_whole_numbers(tmp_path):
-    index = "    def index(self, cloth):\n        return 1.0 * cloth.hinges[:, :1]\n\n    def rest("
+@pytest.mark.parametrize("numbers", ["1.0 * cloth.hinges[:, :1]", "cloth.vertices[:, :1] > 0"])
+def test_elements_are_numbered_by_whole_numbers(tmp_path, numbers):
+    index = f"    def index(self, cloth):\n        return {numbers}\n\n    def rest("
     with pytest.raises(CaphyError, match="my_wind: index must give numbers of vertices, whole ones"):
         use_file(_written(tmp_path / "mine.py", "    def rest(", index))
+
+
+LAW = '''
+from caphy.effects.base import Parameter
+from caphy.effects.membrane import Membrane
+
+
+class MyLaw(Membrane):
+    """Threads that stiffen, E = A k / 2 G_uu^2 [J] per face."""
+
+    name = "my_law"
+    parameters = {"stiffness": Parameter(30.0, "N/m", 0.0, 1e5, doc="tension per strain")}
+    reference = "a user's own"
+
+    def density(self, strain, e, p):
+        return 0.5 * p["stiffness"] * strain[0] ** 2
+'''
+WOVEN = LAW.replace(
+    "    def density",
+    "    def rest(self, cloth):\n"
+    "        return super().rest(cloth) | {'woven': cloth.face_area / cloth.face_area.mean()}\n\n    def density",
+).replace("0.5 *", '0.5 * e.rest["woven"] *')
+
+
+@pytest.mark.parametrize("rest_shape", ["softening", "shrinkage", "shrinkage_directional"])
+def test_a_law_of_ones_own_with_constants_of_its_own_is_not_lent(tmp_path, rest_shape):
+    (tmp_path / "mine.py").write_text(WOVEN)
+    assert use_file(tmp_path / "mine.py") == ["my_law"]
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    effects = {"strain_stvk": {}, rest_shape: {}}
+    terms = Potential(Model(cloth.density, {**effects, "my_law": {}}), cloth).term_gradients(at.x, at.step)
+    alone = Potential(Model(cloth.density, effects), cloth).term_gradients(at.x, at.step)
+    torch.testing.assert_close(terms[rest_shape], alone[rest_shape])
+
+
+def test_a_law_of_ones_own_is_cut_smaller_with_the_cloth(tmp_path):
+    (tmp_path / "mine.py").write_text(LAW)
+    use_file(tmp_path / "mine.py")
+    cloth, elastic = irregular_cloth(), {"strain_stvk": {}, "my_law": {}}
+    cut, x = replace(cloth, material=0.95 * cloth.material), moment(cloth).x
+    wanted = Potential(Model(cloth.density, elastic), cut).gradient(x)[1]
+    got = Potential(Model(cloth.density, {**elastic, "shrinkage": {"fraction": 0.05}}), cloth).gradient(x)[1]
+    torch.testing.assert_close(got, wanted, rtol=1e-9, atol=1e-12)
 
 
 def test_a_helper_of_another_file_is_not_taken_for_ones_own(tmp_path):
@@ -250,3 +366,8 @@ def test_what_an_effect_reads_is_a_part_of_it(tmp_path):
     assert Kept(tmp_path / "kept", [path]).key("x") == before
     (tmp_path / "table.json").write_text("0.7")
     assert Kept(tmp_path / "kept", [path]).key("x") != before
+
+
+def test_the_librarys_coefficients_may_all_be_absent():
+    for name, effect in registered_effects().items():
+        registry._check_coefficients(effect, name)

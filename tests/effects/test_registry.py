@@ -173,6 +173,24 @@ def test_what_is_no_effect_says_so(
         Potential(Model(0.2, {name: {}}), cloth).gradient(at.x, at.step, at.body)
 
 
+def test_an_effect_file_may_hold_dataclasses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose annotations are looked up in the module that the file is; one that fails leaves none behind."""
+    monkeypatch.setattr(registry, "_from_files", {})
+    path = tmp_path / "winds_of_mine.py"
+    held = "from __future__ import annotations\n\nfrom dataclasses import dataclass\n\n\n"
+    held += "@dataclass\nclass Table:\n    speed: float = 1.0\n\n"
+    path.write_text(held + WIND)
+    assert register_file(path) == ["my_wind"]
+    module = sys.modules["caphy_effect_winds_of_mine"]
+    path.write_text("raise ValueError")
+    with pytest.raises(CaphyError, match="cannot be imported"):
+        register_file(path)
+    assert sys.modules.pop("caphy_effect_winds_of_mine") is module
+    with pytest.raises(CaphyError, match="cannot be imported"):
+        register_file(path)
+    assert "caphy_effect_winds_of_mine" not in sys.modules
+
+
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaphyError, match=r"existing \.py file"):
         register_file(tmp_path / "none.py")

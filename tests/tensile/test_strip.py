@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from closed_form import Sheet
 
+from caphy.effects import registry
+from caphy.effects.base import Parameter
+from caphy.effects.membrane import Membrane, square
 from caphy.effects.model import Model
 from caphy.effects.presets import fabric_model
 from caphy.measure.uniaxial import model_curve
@@ -27,6 +30,27 @@ def test_a_stiffening_orthotropic_strip(direction):
     curve = said(direction, weft_warp_stiffness={"weft": 40.0, "warp": -5.0}, strain_stiffening={"stiffness": 800.0})
     np.testing.assert_allclose(curve.transverse, narrow, atol=2e-5)
     np.testing.assert_allclose(curve.force, force, rtol=2e-4, atol=2e-3)
+
+
+class Doubled(Membrane):
+    """What softening took, once more [J] per face."""
+
+    name = "doubled"
+    parameters = {"factor": Parameter(1.0, "1", doc="how often")}
+    reference = "a test's own"
+    borrows = ("softening",)
+
+    def density(self, strain, e, p):
+        return -p["factor"] * p["softening.share"] * square(strain)
+
+
+def test_what_is_borrowed_may_borrow_itself(monkeypatch):
+    monkeypatch.setattr(registry, "_from_files", {"doubled": Doubled})
+    strip, effects = Strip(STRAIN, "weft"), {**STVK, "softening": {}}
+    twice = strip.table(Model(0.2, {**effects, "doubled": {"factor": 2.0}}), "doubled")
+    np.testing.assert_allclose(twice, 2 * strip.table(Model(0.2, {**effects, "doubled": {}}), "doubled"))
+    assert np.abs(twice).max() > 0
+    assert "doubled" in candidates(Model(0.2, effects)).added
 
 
 def test_friction_along_the_path():

@@ -12,6 +12,8 @@ import torch
 from small_world import small_trainer, swaying, tube
 
 from caphy.body.bundled import default_body
+from caphy.effects import registry
+from caphy.effects.base import Effect, Parameter
 from caphy.effects.cloth import Cloth
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
@@ -22,7 +24,7 @@ from caphy.network.files import save_network
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.blind_spots import blind_spots
 from caphy.training.initial import read_initial
-from caphy.training.learner import Learner, stiffness
+from caphy.training.learner import Learner, _without_contact, stiffness
 from caphy.training.streams import Windows
 from export.avatar import avatar_bundle, bundled_garment
 
@@ -142,3 +144,20 @@ def test_a_run_is_a_start_too(tmp_path):
     assert initial.betas == (0.5,) and initial.record["run"] == "run"
     for one, two in zip(initial.network.parameters(), trainer.network.parameters(), strict=True):
         assert torch.equal(one, two)
+
+
+class Sticky(Effect):
+    """As much drag as there is friction, E = dt mu m / 2 |v|^2 [J] per vertex."""
+
+    name = "sticky"
+    element = "vertex"
+    parameters = {"factor": Parameter(1.0, "1/s", doc="how much")}
+    reference = "a test's own"
+    needs_step = True
+    borrows = ("body_friction",)
+
+
+def test_without_contact_nothing_is_left_that_follows_from_it(monkeypatch):
+    monkeypatch.setattr(registry, "_from_files", {"sticky": Sticky})
+    model = snug_model().with_effect("body_friction").with_effect("sticky")
+    assert set(_without_contact(model).effects) == set(snug_model().effects) - {"body_contact"}
