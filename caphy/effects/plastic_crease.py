@@ -37,8 +37,8 @@ class PlasticCrease(Hinge):
         return bending_rest(cloth)
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
-        assert e.origin is not None and e.lagged is not None and e.dt is not None
+        assert e.lagged is not None and e.dt is not None
         moment = bending_moment(turn(dihedral(e.lagged), e.rest["angle"]), e.rest, p).abs()
         width = e.rest["area"] / e.rest["length"]
-        rate = turn(angle, dihedral(e.origin)) / (e.dt * width)
+        rate = turn(angle, e.then("dihedral angle", dihedral, turn)) / (e.dt * width)
         return e.dt * p["share"] * moment * width * (torch.sqrt(rate * rate + p["slip"] ** 2) - p["slip"])
