@@ -33,6 +33,12 @@ class Term:
     rest: dict[str, Tensor]
     values: Values
 
+    @property
+    def is_off(self) -> bool:
+        """Whether all coefficients of the effect are zero."""
+        found = [self.values[key] for key in self.effect.coefficients]
+        return bool(found) and not any(bool(value.any()) for value in found)
+
     def gather(self, planes: Tensor) -> Tensor:
         """Element positions (k, 3, ..., n) of vertex planes (3, ..., V)."""
         n, k = self.index.shape
@@ -259,8 +265,8 @@ class Potential:
         """Derivatives of the gradient with respect to parameters, "effect.parameter" -> (*parameter, ..., V, 3).
 
         Where the energy is linear in a parameter this is the effect's gradient per unit of it. History and body are
-        held fixed; effects that borrow a parameter contribute to its derivative. Automatic differentiation of the
-        energies, so it holds for every effect.
+        held fixed; effects that borrow a parameter contribute to its derivative, unless they are switched off.
+        Automatic differentiation of the energies, so it holds for every effect.
 
         Args:
             x, step, body: the state, positions (..., V, 3) [m].
@@ -270,6 +276,8 @@ class Potential:
         totals: dict[str, Tensor] = {}
         for name, term in self.present(step, body):
             names = {key: key if "." in key else f"{name}.{key}" for key in term.values}
+            if term.is_off:  # exerts nothing, whatever is lent to it
+                names = {key: full for key, full in names.items() if "." not in key}
             keys = [key for key, full in names.items() if wanted is None or full in wanted]
             if not keys:
                 continue
