@@ -20,7 +20,7 @@ from caphy.measure.comparison import compare
 from caphy.measure.finer import FinerMesh
 from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
-from caphy.measure.windows import StartStates, filled, window_starts
+from caphy.measure.windows import StartStates, filled, inertial_force, window_starts
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 
@@ -129,6 +129,25 @@ def test_starts_are_nearer_to_the_truth_than_the_data_are(plain, truth):
     speed = [np.linalg.norm(s.v.numpy() - truth_velocity[f - 1], axis=1) for s, f in zip(at, (10, 25, 40), strict=True)]
     assert np.median(place) < 0.8 * data
     assert np.median(speed) < 0.8 * raw
+
+
+@pytest.mark.parametrize(("mass", "pull"), [("extra_mass", 1.0), ("added_mass", 0.5)])
+def test_starts_feel_the_inertia_of_all_mass(plain, mass, pull):
+    """As of cloth twice as dense; what has no weight as if gravity were half."""
+    scene = Scene.of(plain)
+    light = Model(0.2, {**MODEL.effects, mass: {"density": 0.2}})
+    dense = Model(0.4, MODEL.effects).with_effect("gravity", acceleration=np.array([0, -9.81 * pull, 0]))
+    one, other = (StartStates(scene, scene.potential(model)).positions(25) for model in (light, dense))
+    np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_inertial_forces_are_mass_times_acceleration(plain):
+    potential = Scene.of(plain).potential(Model(0.2, {**MODEL.effects, "heavy_hem": {}, "added_mass": {}}))
+    acceleration = np.random.default_rng(0).normal(0, 20, potential.cloth.vertices.shape)
+    rim = potential.cloth.vertex_area < 0.9 * potential.cloth.vertex_area.max()
+    hem = np.where(rim, 0.004 * 0.6 / 8, 0.0)  # line density times the spacing of the vertices along the rim
+    mass = 0.3 * potential.cloth.vertex_area + hem
+    np.testing.assert_allclose(inertial_force(potential, acceleration), mass[:, None] * acceleration, rtol=1e-9)
 
 
 def test_windows_avoid_holes_and_say_so_where_none_is_left(plain):
