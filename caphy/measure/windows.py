@@ -30,7 +30,7 @@ from caphy.solve.rollout import Simulator
 LENGTH = 8
 """Frames of a window."""
 HOLD = 12_000.0
-"""Stiffness over inertial mass of the springs that hold a start to the measured positions [1/s^2], the same on every mesh.
+"""Stiffness over inertial mass of the springs that hold a start to the measured positions [1/s^2], on every mesh.
 
 3 N/m on a vertex of 0.25 g. Modes of the cloth faster than sqrt(12,000) / 2 pi = 17 Hz are balanced, which frees them
 of noise; slower ones follow the data."""
@@ -45,8 +45,8 @@ _LEAST_SEEN = 0.5  # share of the vertices that must be known for a window to st
 class HeldToData(Effect):
     """Springs to measured positions and the inertial force of a measured acceleration.
 
-    E = lambda/2 |x - P|^2 + (M a).x [J] per vertex, M all inertia of the model (:func:`inertial_force`); vertices that were not seen have lambda = 0. Not registered: it is
-    no physics, it starts windows.
+    E = lambda/2 |x - P|^2 + (M a).x [J] per vertex, M a as of :func:`inertial_force`; vertices that were not seen have
+    lambda = 0. Not registered: it is no physics, it starts windows.
     """
 
     name = "held_to_data"
@@ -103,7 +103,7 @@ class StartStates:
     """Positions and velocities of the cloth at measured frames, as the model could have produced them."""
 
     def __init__(self, scene: Scene, potential: Potential, hold: float = HOLD) -> None:
-        """``hold`` is lambda per inertial mass [1/s^2]. Raises :class:`CaphyError` for point clouds: register them first."""
+        """``hold`` is lambda per inertial mass [1/s^2]. Raises :class:`CaphyError` for clouds: register them first."""
         if scene.measurement.vertices is None:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: windows start from registered vertices, not from point clouds")
