@@ -180,6 +180,28 @@ def test_scenes_that_cannot_be_simulated_are_told(plain):
         Scene.of(replace(plain, pinned=None, pinned_positions=None))
 
 
+def test_a_garment_whose_vertices_come_in_another_order_is_refused(plain):
+    garment = Scene.of(plain).garment
+    order = np.random.default_rng(0).permutation(len(garment.vertices))
+    place = np.argsort(order).astype(np.int32)
+    other = replace(
+        garment, vertices=garment.vertices[order], faces=place[garment.faces], weights=garment.weights[order]
+    )
+    with pytest.raises(CaphyError, match="vertices must come in the garment's order"):
+        Scene.of(plain, other)
+    fewer = replace(garment, faces=garment.faces[1:], material=garment.material[1:])
+    with pytest.raises(CaphyError, match="its faces are not those of garment"):
+        Scene.of(plain, fewer)
+    turned = replace(garment, faces=np.roll(garment.faces[::-1], 1, axis=1), material=garment.material[::-1])
+    assert Scene.of(plain, turned).garment is turned
+    points = {"vertices": None, "points": plain.vertices.reshape(-1, 3), "offsets": 81 * np.arange(len(plain) + 1)}
+    bare = replace(plain, **points, faces=None, rest_vertices=None, material=None, pinned=None, pinned_positions=None)
+    with pytest.raises(CaphyError, match="nothing holds the cloth"):  # no mesh that could be another
+        Scene.of(bare, other)
+    with pytest.raises(CaphyError, match="its faces are not those"):
+        Scene.of(replace(plain, **points), other)
+
+
 def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys, monkeypatch):
     """... and a run that was stopped is gone on from."""
     (tmp_path / "model.json").write_text(MODEL.to_json())
