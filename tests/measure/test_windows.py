@@ -107,6 +107,20 @@ def test_of_clouds_what_is_not_the_models_is_told_across_the_cloth(plain, monkey
     assert np.median(restarted) < 0.8 * np.median(np.linalg.norm(again - truth, axis=-1))
 
 
+def test_restarts_see_no_more_than_the_measurement_does(plain, monkeypatch):
+    """Holes of a model's own motion are where the measurement has them, whether NaN or told by a mask."""
+    monkeypatch.setattr(FinerMesh, "difference", lambda self, simulator, state, run: np.zeros_like(run.positions))
+    seen = np.random.default_rng(0).uniform(size=(len(plain), 1, 9, 1)) > 0.4
+    seen = np.broadcast_to(seen, (len(plain), 9, 9, 1)).reshape(len(plain), 81)
+    holes = replace(plain, vertices=np.where(seen[..., None], plain.vertices, np.nan))
+    told = []
+    for measurement in (holes, replace(plain, visibility=seen)):
+        windows = prediction.Windows(Scene.of(measurement), MODEL)
+        told.append(windows.told(windows.frames[0]).start_error)
+    assert np.isfinite(told[1]).all()
+    np.testing.assert_allclose(told[0], told[1], atol=1e-9)
+
+
 def test_the_right_model_is_told_from_one_that_lacks_an_effect(plain, dragged):
     right, wrong = compared(plain), compared(dragged)
     assert right["floor"]["unexplained_mm"] < 1.5
