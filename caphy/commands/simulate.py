@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
@@ -13,6 +13,11 @@ from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file
 from caphy.kept import Kept
+
+if TYPE_CHECKING:
+    from caphy.effects.potential import Potential
+    from caphy.solve.body_motion import BodyMotion
+    from caphy.solve.integrators import State
 
 
 @dataclass(frozen=True)
@@ -83,10 +88,12 @@ def _simulate(command: Simulate, folder: Path) -> None:
     motion = BodyMotion(body, poses, garment)
     potential = Potential(model, Cloth.of(garment, model.density))
     print(f"{garment.name}: {len(garment.vertices)} vertices, {len(poses)} frames at {poses.fps:g} fps; dressing ...")
+    start = _dressed(potential, motion, kept)
     with tqdm(total=len(poses), unit="frame") as bar:
         trajectory = simulate(
             potential,
             motion,
+            start,
             integrator=find_integrator(command.integrator),
             substeps=command.substeps,
             progress=lambda done, total: _show(bar, done),
@@ -98,6 +105,33 @@ def _simulate(command: Simulate, folder: Path) -> None:
         print(_sheet(command.render, trajectory, motion))
     else:
         print("next: the same command with --render sheet.png pictures it")
+
+
+def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> State:
+    """Where the motion starts; said where the solver did not converge on the way there."""
+    import torch
+
+    from caphy.solve.integrators import State
+    from caphy.solve.newton import Newton
+    from caphy.solve.preroll import dressed
+
+    key = kept.key("dressed", potential.model, potential.cloth, motion.body, motion.betas, motion.garment, motion.poses)
+    if (found := kept.recall(key)) is None:
+        state, reports = dressed(Newton(potential), motion)
+        found = {
+            "x": state.x.numpy(),
+            "v": state.v.numpy(),
+            "converged": np.array([all(report.converged for report in frame) for frame in reports]),
+            "residual": np.array([max(report.residual for report in frame) for frame in reports]),
+        }
+        kept.keep(key, found)
+    if not found["converged"].all():
+        failed = int((~found["converged"]).sum())
+        print(
+            f"dressing: {failed} of {len(found['converged'])} frames on the way to the start did not converge; largest "
+            f"force left {found['residual'].max():.1e} N. What the first frames show may come from there"
+        )
+    return State(0.0, torch.from_numpy(found["x"]), torch.from_numpy(found["v"]))
 
 
 def _show(bar, done: int) -> None:

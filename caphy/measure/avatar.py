@@ -14,12 +14,14 @@ from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle, BundledGarment
 from caphy.io.measurements import Measurement
 from caphy.io.poses import PoseSequence
+from caphy.measure.pace import PACE
 from caphy.measure.prediction import Prediction
+from caphy.measure.windows import LENGTH
 from caphy.rotations import matrix_from_axis_angle
 
 _SAME_BODY = 0.02  # [m]
 _CHUNK = 120
-_FRAMES_PER_GROUP = 8  # rows that belong together when uncertainty is told, as in windows of the solver
+_GROUP = LENGTH / PACE  # seconds of rows that belong together when uncertainty is told, as in windows of the solver
 
 
 def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment: BundledGarment) -> Prediction:
@@ -48,7 +50,7 @@ def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment:
         and measurement.registered
         and np.array_equal(measurement.faces, faces),
         lag=None,
-        window=frames // _FRAMES_PER_GROUP,
+        window=np.floor(frames / (_GROUP * measurement.fps) + 1e-9).astype(int),
         converged=np.ones(len(frames), bool),
         material=measurement.material,
         body_vertices=_body(bundle, measurement.poses[frames], measurement.transl[frames]),

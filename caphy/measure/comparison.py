@@ -12,7 +12,7 @@ from caphy.measure.errors import Errors, SurfaceErrors, surface_errors, vertex_e
 from caphy.measure.noise import measurement_noise, overstated
 from caphy.measure.prediction import Prediction
 from caphy.measure.sentences import sentences
-from caphy.measure.statistics import MILLI, binned, contrast, interval, mean_mm, summary
+from caphy.measure.statistics import MILLI, binned, chances, contrast, interval, mean_mm, summary
 
 WORST = 4
 """Worst moments that are reported."""
@@ -49,7 +49,7 @@ def compare(prediction: Prediction, measurement: Measurement, names: np.ndarray 
         "by_frame": _by_frame(prediction, errors, surface),
         "by_lag": _by_lag(prediction, errors),
         "by_region": _by_region(prediction, errors, regions),
-        "by_covariate": [_by_covariate(c, errors, prediction) for c in found],
+        "by_covariate": _by_covariate(found, errors, prediction),
         "moments": _moments(prediction, measurement, errors, regions),
     }
     figures["sentences"] = sentences(figures)
@@ -181,17 +181,29 @@ def _mean_interval(values: np.ndarray, window: np.ndarray) -> tuple[float, float
     return interval(lambda rows: MILLI * float(total[rows].sum() / max(count[rows].sum(), 1)), window)
 
 
-def _by_covariate(covariate: Covariate, errors: Errors, prediction: Prediction) -> dict:
-    values = covariate.values
-    if values.shape[1] > 1:
-        values = np.take_along_axis(np.broadcast_to(values, prediction.vertices.shape[:2]), errors.vertex, axis=1)
-    return {
-        "name": covariate.name,
-        "unit": covariate.unit,
-        "when": covariate.when,
-        "bins": binned(values, errors.distance),
-        "contrast": contrast(values, errors.distance, prediction.window),
-    }
+def _by_covariate(found: list[Covariate], errors: Errors, prediction: Prediction) -> list[dict]:
+    """What the error depends on, each alone; ``chance``: how often the best of all would show as much by chance."""
+    values = [_at_errors(covariate.values, errors, prediction) for covariate in found]
+    return [
+        {
+            "name": covariate.name,
+            "unit": covariate.unit,
+            "when": covariate.when,
+            "bins": binned(each, errors.distance),
+            "contrast": contrast(each, errors.distance, prediction.window),
+            "chance": chance,
+        }
+        for covariate, each, chance in zip(
+            found, values, chances(values, errors.distance, prediction.window), strict=True
+        )
+    ]
+
+
+def _at_errors(values: np.ndarray, errors: Errors, prediction: Prediction) -> np.ndarray:
+    """Values (N, V) of the vertices where errors (N, P) are; what belongs to whole rows (N, 1) as it is."""
+    if values.shape[1] == 1:
+        return values
+    return np.take_along_axis(np.broadcast_to(values, prediction.vertices.shape[:2]), errors.vertex, axis=1)
 
 
 def _moments(prediction: Prediction, measurement: Measurement, errors: Errors, regions: np.ndarray) -> list[dict]:

@@ -19,7 +19,9 @@ MEDIAN_ONE: Final = 0.6745
 
 _MEDIAN_CHI2_3 = 2.36597 / 3  # median over mean of chi-square with 3 degrees, one for each coordinate
 _CALM = 0.1  # share of the frames, the calmest, that noise is read from: fast motion is not cubic
-_NEIGHBOURS = 12
+_NEIGHBOURS = 12  # that a plane is laid through, at least
+_FLAT = 5.0  # times as much scatter along the plane as across it; less is a ball of noise, no piece of cloth
+_REACH = 0.04  # metres: farther apart points lie on different parts of curved cloth
 _OVERSTATED = 3.0
 
 
@@ -46,7 +48,7 @@ def measurement_noise(measurement: Measurement) -> Noise | None:
 
     Registered tracks: what cubics over five frames leave in the calmest tenth of the frames, so an upper bound
     where even those move abruptly, and blind to noise that lasts over several frames (a wrong calibration). Clouds:
-    the thickness of the point set around local planes.
+    the thickness of the point set around local planes, of pieces several times as wide as thick.
     """
     if measurement.noise_mm is not None:
         return Noise(1e-3 * measurement.noise_mm, "stated in the measurement")
@@ -68,7 +70,10 @@ def overstated(measurement: Measurement) -> str | None:
 
 
 def scatter(measurement: Measurement) -> Noise | None:
-    """What the data themselves show of their noise, no less than it is; none where they are too few."""
+    """What the data themselves show of their noise; none where they are too few.
+
+    It is too large where cloth moves or bends too sharply, and of clouds up to an eighth too small.
+    """
     return _of_clouds(measurement) if measurement.vertices is None else _of_tracks(measurement)
 
 
@@ -83,17 +88,37 @@ def _of_tracks(measurement: Measurement) -> Noise | None:
 
 
 def _of_clouds(measurement: Measurement) -> Noise | None:
-    from scipy.spatial import KDTree
-
     variances = []
     for frame in measurement.seen_frames[:: max(len(measurement.seen_frames) // 6, 1)]:
         cloud = measurement.cloud(int(frame))
         if len(cloud) < 4 * _NEIGHBOURS:
             continue
-        some = cloud[:: max(len(cloud) // 500, 1)]
-        near = cloud[KDTree(cloud).query(some, _NEIGHBOURS)[1]]
-        spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", *(2 * [near - near.mean(1, keepdims=True)])))
-        variances.append(np.median(spread[:, 0]) / (_NEIGHBOURS - 3))
+        variances.append(_thickness(cloud))
     if not variances:
         return None
     return Noise(float(np.sqrt(np.median(variances))), "estimated from the thickness of the clouds")
+
+
+def _thickness(cloud: np.ndarray) -> float:
+    """Variance [m^2] of points (N, 3) [m] across the cloth, N at least 48, in the median.
+
+    Of few neighbours in a dense cloud all lie within its noise and show less than all of it: they are doubled until
+    they lie flat. Where they never do, on sharply curved cloth in much noise, they are as many as lie flattest.
+    """
+    from scipy.spatial import KDTree
+
+    some, tree = cloud[:: max(len(cloud) // 500, 1)], KDTree(cloud)
+    best, flattest, count = 0.0, -1.0, _NEIGHBOURS
+    while 4 * count <= len(cloud):
+        distance, near = tree.query(some, count)
+        if count > _NEIGHBOURS and np.median(distance[:, -1]) > _REACH:
+            break
+        offset = cloud[near] - cloud[near].mean(1, keepdims=True)
+        across, along, _ = np.linalg.eigvalsh(offset.swapaxes(1, 2) @ offset).T
+        flat = float(np.median(along / np.maximum(across, 1e-300)))
+        if flat > flattest:
+            best, flattest = float(np.median(across)) / (count - 3), flat
+        if flat >= _FLAT:
+            break
+        count *= 2
+    return best

@@ -220,7 +220,13 @@ def _restarted(
     random = np.random.default_rng(frame)
     vertices[truth.frames] = truth.positions + random.normal(0, sigma, truth.positions.shape)
     measurement = replace(
-        scene.measurement, vertices=vertices, faces=scene.garment.faces, points=None, offsets=None, noise=None
+        scene.measurement,
+        vertices=vertices,
+        faces=scene.garment.faces,
+        points=None,
+        offsets=None,
+        noise=None,
+        visibility=scene.measurement.observed,  # holes stay holes, however they were told
     )
     starts = StartStates(replace(scene, measurement=measurement), potential)
     begin = frame + RUN_UP

@@ -69,6 +69,11 @@ class Scene:
                 f"{measurement.source or measurement.name}: has {measurement.vertex_count} vertices, garment "
                 f"{garment.name!r} {len(garment.vertices)}; they must be one mesh, or the measurement a point cloud"
             )
+        if measurement.faces is not None and not _one_mesh(measurement.faces, garment.faces):
+            raise CaphyError(
+                f"{measurement.source or measurement.name}: its faces are not those of garment {garment.name!r}; "
+                "vertices must come in the garment's order; give the garment that was measured"
+            )
         motion = _motion(measurement, garment, body)
         if motion is None and measurement.pinned is None:
             where = measurement.source or measurement.name
@@ -129,6 +134,17 @@ def rest_material(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     level = np.abs(area[:, 1]).sum() > 0.9 * np.linalg.norm(area, axis=1).sum()
     guide = np.tile([0.0, 0.0, 1.0] if level else [0.0, 1.0, 0.0], (len(faces), 1))
     return lay_flat(vertices, faces, warp_field(vertices, faces, guide))
+
+
+def _one_mesh(faces: np.ndarray, others: np.ndarray) -> bool:
+    """Whether triangles (F, 3) are the same ones, in whatever order, whichever of their corners comes first."""
+    if faces.shape != others.shape:
+        return False
+    one, other = (
+        np.unique(np.take_along_axis(f, (f.argmin(1)[:, None] + np.arange(3)) % 3, axis=1), axis=0)
+        for f in (faces.astype(np.int64), others.astype(np.int64))
+    )
+    return np.array_equal(one, other)
 
 
 def _carried_garment(measurement: Measurement) -> Garment:

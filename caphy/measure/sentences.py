@@ -4,6 +4,7 @@ from __future__ import annotations
 
 _NEAR_FLOOR = 1.3  # of what noise, solver, mesh and restarts explain; right models on other meshes reach it too
 _NOTABLE = 1.0  # differences below this are not worth a sentence [mm]
+_CHANCE = 0.05  # that any covariate at all is named where none matters
 
 
 def sentences(figures: dict) -> list[str]:
@@ -70,11 +71,13 @@ def _low(row: dict) -> str | None:
 
 
 def _when(figures: dict) -> str | None:
-    """The covariate with the largest contrast whose interval excludes zero."""
+    """The covariate with the largest contrast that is not the best of many by chance."""
     best, size = None, 0.0
     for row in figures["by_covariate"]:
         found = row["contrast"]
-        if found is None or found["interval_mm"][0] <= 0 or found["difference_mm"] < _NOTABLE:
+        if found is None or row["chance"] is None or found["difference_mm"] < _NOTABLE:
+            continue
+        if row["chance"] > _CHANCE or found["interval_mm"][0] <= 0:
             continue
         ratio = found["difference_mm"] / max(found["below_mm"], 1e-9)
         if ratio > max(size, 0.25):
@@ -100,6 +103,7 @@ def _grows(figures: dict) -> str | None:
 
 
 def _moment(figures: dict) -> str | None:
+    """The largest error as it was measured; it says nothing of other moments, so that no interval is asked for."""
     if not figures["moments"]:
         return None
     worst = figures["moments"][0]

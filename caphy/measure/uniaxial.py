@@ -13,7 +13,9 @@ from caphy.effects.potential import Potential
 from caphy.io.measurements import ForceCurve
 from caphy.measure.statistics import summary
 
-_SIDE = 0.1  # of the square that is pulled [m]; stresses do not depend on it
+_SIDE = 0.1  # of the square that is pulled [m]; effects whose stresses depend on it are left out
+_TRIED = np.array([[1.0, 1.0], [1.1, 1.0], [1.0, 1.1], [1.2, 0.9], [0.9, 1.2]])  # stretches, the first at rest
+_SAME = 1e-3  # share of an effect's work that its strip's size may decide
 _STEP = 1e-5  # of the finite difference of the energy in stretch
 _NARROW = np.linspace(0.05, 1.6, 156)  # transverse stretches that are tried before the search is refined
 _REFINED = 40  # golden-section steps
@@ -37,7 +39,7 @@ def model_curve(model: Model, axial: np.ndarray, direction: str) -> ModelCurve:
     """Force per width and transverse strain of a model at axial strains (N,), pulled along "weft" or "warp".
 
     The strip is uniform and free to narrow: the transverse stretch minimises the energy W, and by the envelope theorem
-    the force per width is dW/d(axial stretch) per rest area at that minimum.
+    the force per width is dW/d(axial stretch) per rest area at that minimum. What acts :func:`at_edges` is left out.
     """
     energy = _strip_energy(model, direction)
     stretch = 1 + np.asarray(axial, dtype=float)
@@ -46,20 +48,44 @@ def model_curve(model: Model, axial: np.ndarray, direction: str) -> ModelCurve:
     return ModelCurve(np.asarray(axial, dtype=float), narrow - 1, force)
 
 
-def _strip_energy(model: Model, direction: str):
-    """Energy per rest area [J/m^2] of a square at axial and transverse stretches, (N,) each."""
-    cloth = square_cloth(_SIDE, model.density)
-    rest = cloth.vertices
+def at_edges(model: Model) -> tuple[str, ...]:
+    """Effects of a model that act at edges (seams, bands), or on a place, and not as a stress in the cloth.
+
+    The work per area that stretches take of them depends on the size of the strip.
+    """
+    work = []
+    for side in (_SIDE, 2 * _SIDE):
+        potential = _in_square(model, side)
+        energies = potential.energies(_stretched(potential.cloth, *_TRIED.T)).items()
+        work.append({name: (energy[1:] - energy[0]).numpy() / side**2 for name, energy in energies})
+    one, other = work
+    return tuple(n for n in one if np.abs(one[n] - other[n]).max() > _SAME * np.abs(one[n]).max() + 1e-12)
+
+
+def _in_square(model: Model, side: float) -> Potential:
+    """A model without weight on a square."""
     if "gravity" in model.effects:  # not taken out: effects that have weight ask for it
         model = model.with_effect("gravity", acceleration=np.zeros(3))
-    potential = Potential(model, cloth)
+    return Potential(model, square_cloth(side, model.density))
+
+
+def _stretched(cloth: Cloth, weft: np.ndarray, warp: np.ndarray) -> torch.Tensor:
+    """Positions (..., V, 3) [m] at stretches (...)."""
+    scale = np.stack(np.broadcast_arrays(weft, warp, 0.0), -1)
+    return torch.from_numpy(cloth.vertices * scale[..., None, :])
+
+
+def _strip_energy(model: Model, direction: str):
+    """Energy per rest area [J/m^2] of a square at axial and transverse stretches, (N,) each."""
+    potential = _in_square(model, _SIDE)
+    for name in at_edges(model):
+        del potential.terms[name]
 
     def energy(axial: np.ndarray, transverse: np.ndarray) -> np.ndarray:
         weft, warp = (axial, transverse) if direction == "weft" else (transverse, axial)
-        scale = np.stack(np.broadcast_arrays(weft, warp, 0.0), -1)
-        x = torch.from_numpy(rest * scale[..., None, :])
+        x = _stretched(potential.cloth, weft, warp)
         parts = potential.energies(x).values()
-        return sum((part.numpy() for part in parts), np.zeros(scale.shape[:-1])) / _SIDE**2
+        return sum((part.numpy() for part in parts), np.zeros(x.shape[:-2])) / _SIDE**2
 
     return energy
 
@@ -121,7 +147,11 @@ def _thinned(curve: ForceCurve, count: int = 120) -> dict[str, list]:
 def compare_curves(model: Model, curves: list[ForceCurve], name: str, source: str) -> dict:
     """Figures of all loadings in a table, ready for JSON."""
     rows = [compare_curve(model, curve) for curve in curves]
-    return {"name": name, "source": source, "sentences": curve_sentences(rows), "curves": rows}
+    said, left_out = curve_sentences(rows), at_edges(model)
+    if left_out:
+        listed = ", ".join(left_out)
+        said.append(f"Left out of the model, because the strip's size decides what edges and places do: {listed}.")
+    return {"name": name, "source": source, "sentences": said, "curves": rows}
 
 
 def curve_sentences(rows: list[dict]) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.effects.base import Effect, Elements, Values
+from caphy.effects.base import Effect, Elements, Step, Values
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential, Term
@@ -30,7 +30,7 @@ from caphy.solve.rollout import Simulator
 LENGTH = 8
 """Frames of a window."""
 HOLD = 12_000.0
-"""Stiffness over mass of the springs that hold a start to the measured positions [1/s^2], the same on every mesh.
+"""Stiffness over inertial mass of the springs that hold a start to the measured positions [1/s^2], on every mesh.
 
 3 N/m on a vertex of 0.25 g. Modes of the cloth faster than sqrt(12,000) / 2 pi = 17 Hz are balanced, which frees them
 of noise; slower ones follow the data."""
@@ -45,8 +45,8 @@ _LEAST_SEEN = 0.5  # share of the vertices that must be known for a window to st
 class HeldToData(Effect):
     """Springs to measured positions and the inertial force of a measured acceleration.
 
-    E = lambda/2 |x - P|^2 + m a.x [J] per vertex; vertices that were not seen have lambda = 0. Not registered: it is
-    no physics, it starts windows.
+    E = lambda/2 |x - P|^2 + (M a).x [J] per vertex, M a as of :func:`inertial_force`; vertices that were not seen have
+    lambda = 0. Not registered: it is no physics, it starts windows.
     """
 
     name = "held_to_data"
@@ -74,6 +74,21 @@ class HeldToData(Effect):
         return self.hessian(e, p)
 
 
+def inertial_force(potential: Potential, acceleration: np.ndarray) -> np.ndarray:
+    """Force (V, 3) [N] that accelerations (V, 3) [m/s^2] of the cloth ask for: of its mass and of the model's effects
+    of mass (extra mass, heavy hems, air that moves along)."""
+    x = torch.from_numpy(potential.cloth.vertices)
+    still = torch.zeros_like(x)
+    # In a step of 1 s inertia pulls to its target by M (x - target): the slope of the target is the mass, weight is not
+    here, behind = (Step(1.0, x, target, x, still) for target in (x, x - torch.from_numpy(acceleration)))
+    force = potential.cloth.mass[:, None] * acceleration
+    for name, term in potential.terms.items():
+        if term.effect.group == "mass" and name != "inertia" and not term.effect.needs_body:
+            pulled, resting = (potential.term_gradient(name, x, step, None) for step in (behind, here))
+            force = force + (pulled - resting).numpy()
+    return force
+
+
 def _held(potential: Potential) -> Potential:
     """A copy of a potential with :class:`HeldToData` added, to be filled in per frame."""
     held = Potential(potential.model, potential.cloth)
@@ -88,7 +103,7 @@ class StartStates:
     """Positions and velocities of the cloth at measured frames, as the model could have produced them."""
 
     def __init__(self, scene: Scene, potential: Potential, hold: float = HOLD) -> None:
-        """``hold`` is lambda per mass [1/s^2]. Raises :class:`CaphyError` for point clouds: register them first."""
+        """``hold`` is lambda per inertial mass [1/s^2]. Raises :class:`CaphyError` for clouds: register them first."""
         if scene.measurement.vertices is None:
             where = scene.measurement.source or scene.measurement.name
             raise CaphyError(f"{where}: windows start from registered vertices, not from point clouds")
@@ -96,6 +111,7 @@ class StartStates:
         self.cloth = potential.cloth
         self._held = _held(potential)
         self._newton = Newton(self._held, scene.fixed, TOLERANCE)
+        self._mass = inertial_force(potential, np.ones_like(self.cloth.vertices)).mean(axis=1).clip(min=0)
         self._solved: dict[int, np.ndarray] = {}
 
     def possible(self, frame: int) -> bool:
@@ -122,12 +138,12 @@ class StartStates:
         return local_quadratic(measurement.vertices, measurement.observed, measurement.fps, frame)
 
     def _balance(self, frame: int) -> np.ndarray:
-        """argmin of elasticity + weight + contact + m a.x + lambda/2 |x - P|^2 at a frame."""
+        """argmin of elasticity + weight + contact + (M a).x + lambda/2 |x - P|^2 at a frame."""
         fit, time, cloth = self._fit(frame), frame / self.scene.measurement.fps, self.cloth
         place = filled(fit.position, fit.known, cloth)
-        push = cloth.mass[:, None] * filled(fit.acceleration, fit.known, cloth)
+        push = inertial_force(self._held, filled(fit.acceleration, fit.known, cloth))
         rest = self._held.terms[HeldToData.name].rest
-        rest["hold"] = torch.from_numpy(self.hold * cloth.mass * fit.known)
+        rest["hold"] = torch.from_numpy(self.hold * self._mass * fit.known)
         rest["place"], rest["push"] = (torch.from_numpy(np.ascontiguousarray(a.T)) for a in (place, push))
         guess = torch.from_numpy(place.copy())
         if self.scene.pins is not None and self.scene.fixed is not None:

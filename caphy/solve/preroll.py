@@ -11,7 +11,7 @@ from caphy.io.poses import PoseSequence
 from caphy.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import ImplicitEuler, State
-from caphy.solve.newton import Newton
+from caphy.solve.newton import Newton, Report
 from caphy.solve.rollout import Simulator
 
 SECONDS = 1.0
@@ -49,6 +49,16 @@ def preroll_poses(poses: PoseSequence, seconds: float = SECONDS) -> PoseSequence
 def start_state(newton: Newton, motion: BodyMotion, seconds: float = SECONDS) -> State:
     """The state (time 0) at the motion's first frame, after dressing in T-pose and moving into that frame.
 
+    Whether the solver converged on the way is not told: :func:`dressed` does.
+    """
+    return dressed(newton, motion, seconds)[0]
+
+
+def dressed(
+    newton: Newton, motion: BodyMotion, seconds: float = SECONDS
+) -> tuple[State, tuple[tuple[Report, ...], ...]]:
+    """The start of a motion, and the reports of all minimisations on the way there, one tuple for each frame.
+
     Integrated by implicit Euler, whose damping is welcome here.
     """
     way = BodyMotion(motion.body, preroll_poses(motion.poses, seconds), motion.garment, motion.betas)
@@ -56,6 +66,8 @@ def start_state(newton: Newton, motion: BodyMotion, seconds: float = SECONDS) ->
     x = torch.from_numpy(anchors[0].copy())
     state = State(0.0, x, torch.from_numpy((anchors[1] - anchors[0]) * way.fps))
     simulator = Simulator(newton.within(max(newton.tolerance, _TOLERANCE)), way, ImplicitEuler())
+    reports = []
     for _ in range(len(way) - 1):
-        state, _ = simulator.advance(state, 1 / way.fps)
-    return State(0.0, state.x, state.v)
+        state, report = simulator.advance(state, 1 / way.fps)
+        reports.append(report)
+    return State(0.0, state.x, state.v), tuple(reports)

@@ -75,6 +75,14 @@ def test_a_preroll_warms_the_stream_up_and_other_rates_are_resampled(measurement
     assert np.median(np.linalg.norm(off, axis=-1)) < 0.003  # slerp between every second pose is not the motion itself
 
 
+@pytest.mark.parametrize(("fps", "frames"), [(30.0, 8), (15.0, 4), (120.0, 32)])
+def test_rows_belong_together_for_as_long_as_in_the_solvers_windows(measurement, fps, frames):
+    """Avatars use all frames of fast recordings, of which eight are too alike to count as a draw of their own."""
+    bundle = shell_avatar()
+    prediction = predict_with_avatar(replace(measurement, fps=fps), bundle, bundle.garment("tshirt"))
+    np.testing.assert_array_equal(prediction.window, np.arange(len(measurement)) // frames)
+
+
 def test_clouds_and_cloth_without_a_body(measurement):
     bundle, garment = shell_avatar(), shell_avatar().garment("tshirt")
     points = measurement.vertices[:, ::3].reshape(-1, 3)

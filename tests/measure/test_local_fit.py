@@ -64,6 +64,31 @@ def test_stated_noise_wins_and_clouds_have_a_thickness():
     assert measurement_noise(cloud).sigma == pytest.approx(0.001, rel=0.15)
 
 
+def cloud_of(points: np.ndarray, **keys) -> Measurement:
+    return Measurement("m", 30.0, points=points, offsets=np.array([0, len(points)]), **keys)
+
+
+@pytest.mark.parametrize(
+    ("count", "sigma"), [(2500, 0.002), (20_000, 0.002), (20_000, 0.004), (86_000, 0.0005), (100_000, 0.003)]
+)
+def test_dense_clouds_are_as_thick_as_they_are(count, sigma):
+    """However many points lie within the noise of each; cloth rolled up with a radius of 3 cm bends by little more."""
+    random = np.random.default_rng(0)
+    u, v = random.uniform(0, 0.4, (2, count))
+    noise = random.normal(0, sigma, (count, 3))
+    flat = cloud_of(np.stack([u, v, np.zeros(count)], axis=1) + noise)
+    assert measurement_noise(flat).sigma == pytest.approx(sigma, rel=0.125)
+    turn = u / 0.03
+    rolled = np.stack([0.03 * np.cos(turn), v, 0.03 * np.sin(turn)], axis=1)[turn < 2 * np.pi]
+    assert measurement_noise(cloud_of(rolled + noise[: len(rolled)])).sigma == pytest.approx(sigma, rel=0.2)
+
+
+def test_dense_noise_that_is_there_is_not_doubted():
+    random = np.random.default_rng(0)
+    points = np.concatenate([random.uniform(0, 0.4, (100_000, 2)), np.zeros((100_000, 1))], axis=1)
+    assert overstated(cloud_of(points + random.normal(0, 0.004, points.shape), noise_mm=4.0)) is None
+
+
 @pytest.mark.parametrize(("stated_mm", "doubted"), [(50.0, True), (1.0, False), (2.0, False), (None, False)])
 def test_noise_that_the_data_do_not_show_is_doubted(stated_mm, doubted):
     random = np.random.default_rng(0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from caphy.measure.sentences import sentences
-from caphy.measure.statistics import binned, contrast, interval, summary
+from caphy.measure.statistics import binned, chances, contrast, interval, summary
 
 
 def test_summary_is_numpys_and_ignores_holes():
@@ -41,6 +41,35 @@ def test_contrast_finds_what_is_planted_and_not_what_is_not():
     assert planted["difference_mm"] == pytest.approx(4.0, abs=0.3)
     assert planted["interval_mm"][0] > 3
     assert contrast(speed[:24], errors[:24], window[:24]) is None  # three windows are no evidence
+
+
+@pytest.mark.parametrize("windows", [8, 15])
+@pytest.mark.parametrize("of_vertices", [False, True])
+def test_the_best_of_many_covariates_is_seldom_named_by_chance(windows, of_vertices):
+    """Fourteen smooth covariates, none of which matters, in windows whose errors differ by 40 %."""
+    random, window, tries = np.random.default_rng(0), np.repeat(np.arange(windows), 8), 150
+    near = np.exp(-0.5 * ((np.arange(8 * windows)[:, None] - np.arange(8 * windows)) / 8) ** 2)
+    named = real = 0
+    for _ in range(tries):
+        level = np.exp(random.normal(0, 0.4, windows))[window, None]
+        errors = np.abs(random.normal(0, 0.003, (8 * windows, 20))) * level
+        given = list((near @ random.normal(size=(8 * windows, 14))).T[..., None])
+        if of_vertices:
+            given = [values + 3 * random.normal(size=(1, 20)) for values in given]
+        named += any(chance is not None and chance <= 0.05 for chance in chances(given, errors, window))
+        turning = given[0] = random.uniform(0, 1, (8 * windows, 1))
+        real += chances(given, errors * (1 + (turning > 0.7)), window)[0] <= 0.05
+    assert named / tries < 0.05 + 2 * np.sqrt(0.05 * 0.95 / tries)
+    assert real / tries > (0.9 if windows == 15 else 0.6)
+
+
+def test_chances_of_what_is_planted():
+    random, window = np.random.default_rng(1), np.repeat(np.arange(10), 8)
+    speed, other = random.uniform(0, 2, (2, 80, 1))
+    errors = np.abs(random.normal(0, 0.002, (80, 50))) + 0.004 * (speed > 1.5)
+    found = chances([other, speed, np.ones((80, 1))], errors, window)
+    assert found[1] <= 0.01 and found[0] > 0.05 and found[2] is None
+    assert chances([speed[:24]], errors[:24], window[:24]) == [None]
 
 
 def test_interval_respects_windows():
@@ -85,6 +114,7 @@ def figures(**floor) -> dict:
             {
                 "when": "the hips turn fast",
                 "unit": "°/s",
+                "chance": 0.01,
                 "contrast": {
                     "low": 20.0,
                     "high": 150.0,
@@ -115,6 +145,10 @@ def test_sentences_keep_still_where_they_do_not():
     text = " ".join(sentences(given))
     assert "too low" not in text
     assert "turn fast" not in text
+    given["by_covariate"][0]["contrast"]["interval_mm"] = (5.0, 12.0)
+    for best_of_many in (0.06, None):
+        given["by_covariate"][0]["chance"] = best_of_many
+        assert "turn fast" not in " ".join(sentences(given))
     for chance in (None, (5.0, 25.0)):  # too few windows, or the median of all lies within
         given["by_region"][0]["interval_mm"] = chance
         assert "Worst is" not in " ".join(sentences(given))

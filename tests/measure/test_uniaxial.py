@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from caphy.effects.model import Model
+from caphy.effects.presets import fabric_model
 from caphy.io.measurements import ForceCurve, read_force_curves
-from caphy.measure.uniaxial import compare_curve, curve_sentences, model_curve
+from caphy.measure.uniaxial import at_edges, compare_curve, compare_curves, curve_sentences, model_curve
 
 
 def stvk(lame_lambda: float, lame_mu: float) -> Model:
@@ -58,3 +59,23 @@ def test_weight_does_not_pull_the_strip(mass):
         said, light = (model_curve(model, axial, direction) for model in (heavy, stvk(20.9, 11.1)))
         np.testing.assert_allclose(said.force, light.force, rtol=1e-12)
         np.testing.assert_allclose(said.transverse, light.transverse, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seam", ["seam_stiffness", "seam_tension"])
+def test_seams_do_not_pull_the_strip_and_are_told(seam):
+    """How much they would depends on the strip's width, which a force per width does not know."""
+    axial = np.linspace(0, 0.2, 5)
+    plain, sewn = stvk(20.9, 11.1), stvk(20.9, 11.1).with_effect(seam)
+    said, known = model_curve(sewn, axial, "weft"), model_curve(plain, axial, "weft")
+    np.testing.assert_allclose(said.force, known.force, rtol=1e-12)
+    np.testing.assert_allclose(said.transverse, known.transverse, rtol=1e-12)
+    curve = ForceCurve("mine", "weft", 1, axial, -0.3 * axial, 900.0 * axial, "mine.csv")
+    told, before = (compare_curves(model, [curve], "mine", "mine.csv")["sentences"] for model in (sewn, plain))
+    assert told[:-1] == before and told[-1].endswith(f"places do: {seam}.")
+
+
+def test_only_what_acts_at_edges_is_left_out():
+    """A measured fabric, whose stresses are its own, and all effects at once."""
+    assert at_edges(fabric_model("gray-interlock")) == ()
+    inside = {"shear_stiffness": {}, "weft_warp_stiffness": {}, "shrinkage": {}, "natural_curvature": {}, "bending": {}}
+    assert at_edges(Model(0.2, {**stvk(20.9, 11.1).effects, **inside, "heavy_hem": {}, "extra_mass": {}})) == ()

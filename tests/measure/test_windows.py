@@ -20,7 +20,7 @@ from caphy.measure.comparison import compare
 from caphy.measure.finer import FinerMesh
 from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
-from caphy.measure.windows import StartStates, filled, window_starts
+from caphy.measure.windows import StartStates, filled, inertial_force, window_starts
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 
@@ -107,6 +107,20 @@ def test_of_clouds_what_is_not_the_models_is_told_across_the_cloth(plain, monkey
     assert np.median(restarted) < 0.8 * np.median(np.linalg.norm(again - truth, axis=-1))
 
 
+def test_restarts_see_no_more_than_the_measurement_does(plain, monkeypatch):
+    """Holes of a model's own motion are where the measurement has them, whether NaN or told by a mask."""
+    monkeypatch.setattr(FinerMesh, "difference", lambda self, simulator, state, run: np.zeros_like(run.positions))
+    seen = np.random.default_rng(0).uniform(size=(len(plain), 1, 9, 1)) > 0.4
+    seen = np.broadcast_to(seen, (len(plain), 9, 9, 1)).reshape(len(plain), 81)
+    holes = replace(plain, vertices=np.where(seen[..., None], plain.vertices, np.nan))
+    told = []
+    for measurement in (holes, replace(plain, visibility=seen)):
+        windows = prediction.Windows(Scene.of(measurement), MODEL)
+        told.append(windows.told(windows.frames[0]).start_error)
+    assert np.isfinite(told[1]).all()
+    np.testing.assert_allclose(told[0], told[1], atol=1e-9)
+
+
 def test_the_right_model_is_told_from_one_that_lacks_an_effect(plain, dragged):
     right, wrong = compared(plain), compared(dragged)
     assert right["floor"]["unexplained_mm"] < 1.5
@@ -129,6 +143,25 @@ def test_starts_are_nearer_to_the_truth_than_the_data_are(plain, truth):
     speed = [np.linalg.norm(s.v.numpy() - truth_velocity[f - 1], axis=1) for s, f in zip(at, (10, 25, 40), strict=True)]
     assert np.median(place) < 0.8 * data
     assert np.median(speed) < 0.8 * raw
+
+
+@pytest.mark.parametrize(("mass", "pull"), [("extra_mass", 1.0), ("added_mass", 0.5)])
+def test_starts_feel_the_inertia_of_all_mass(plain, mass, pull):
+    """As of cloth twice as dense; what has no weight as if gravity were half."""
+    scene = Scene.of(plain)
+    light = Model(0.2, {**MODEL.effects, mass: {"density": 0.2}})
+    dense = Model(0.4, MODEL.effects).with_effect("gravity", acceleration=np.array([0, -9.81 * pull, 0]))
+    one, other = (StartStates(scene, scene.potential(model)).positions(25) for model in (light, dense))
+    np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_inertial_forces_are_mass_times_acceleration(plain):
+    potential = Scene.of(plain).potential(Model(0.2, {**MODEL.effects, "heavy_hem": {}, "added_mass": {}}))
+    acceleration = np.random.default_rng(0).normal(0, 20, potential.cloth.vertices.shape)
+    rim = potential.cloth.vertex_area < 0.9 * potential.cloth.vertex_area.max()
+    hem = np.where(rim, 0.004 * 0.6 / 8, 0.0)  # line density times the spacing of the vertices along the rim
+    mass = 0.3 * potential.cloth.vertex_area + hem
+    np.testing.assert_allclose(inertial_force(potential, acceleration), mass[:, None] * acceleration, rtol=1e-9)
 
 
 def test_windows_avoid_holes_and_say_so_where_none_is_left(plain):
@@ -159,6 +192,28 @@ def test_scenes_that_cannot_be_simulated_are_told(plain):
         Scene.of(replace(plain, rest_vertices=None, material=None))
     with pytest.raises(CaphyError, match="nothing holds the cloth"):
         Scene.of(replace(plain, pinned=None, pinned_positions=None))
+
+
+def test_a_garment_whose_vertices_come_in_another_order_is_refused(plain):
+    garment = Scene.of(plain).garment
+    order = np.random.default_rng(0).permutation(len(garment.vertices))
+    place = np.argsort(order).astype(np.int32)
+    other = replace(
+        garment, vertices=garment.vertices[order], faces=place[garment.faces], weights=garment.weights[order]
+    )
+    with pytest.raises(CaphyError, match="vertices must come in the garment's order"):
+        Scene.of(plain, other)
+    fewer = replace(garment, faces=garment.faces[1:], material=garment.material[1:])
+    with pytest.raises(CaphyError, match="its faces are not those of garment"):
+        Scene.of(plain, fewer)
+    turned = replace(garment, faces=np.roll(garment.faces[::-1], 1, axis=1), material=garment.material[::-1])
+    assert Scene.of(plain, turned).garment is turned
+    points = {"vertices": None, "points": plain.vertices.reshape(-1, 3), "offsets": 81 * np.arange(len(plain) + 1)}
+    bare = replace(plain, **points, faces=None, rest_vertices=None, material=None, pinned=None, pinned_positions=None)
+    with pytest.raises(CaphyError, match="nothing holds the cloth"):  # no mesh that could be another
+        Scene.of(bare, other)
+    with pytest.raises(CaphyError, match="its faces are not those"):
+        Scene.of(replace(plain, **points), other)
 
 
 def test_the_command_writes_figures_and_one_page(plain, tmp_path, capsys, monkeypatch):
