@@ -7,7 +7,7 @@ import json
 import time
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
@@ -70,7 +70,8 @@ def main(arguments: list[str]) -> None:
     betas = np.array(settings["betas"]) if settings.get("betas") else None
     potential = Potential(model, Cloth.of(garment, model.density))
 
-    started, parts, report = time.monotonic(), [], {"clips": {}}
+    started, parts = time.monotonic(), []
+    report: dict[str, Any] = {"clips": {}}
     for number, clip in enumerate(clips, 1):
         short = clip.resample(network.fps)[: round(options.seconds * network.fps) + 1]
         parts.append(compare_with_solver(network, potential, body, garment, short, betas))
