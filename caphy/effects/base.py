@@ -104,7 +104,7 @@ class Step:
     @property
     def start(self) -> Tensor:
         """Positions (..., V, 3) [m] that the whole step began with."""
-        return began(self.origin, self.lagged, self.lead if isinstance(self.lead, float) else self.lead[..., None])
+        return began(self.origin, self.lagged, self.lead[..., None] if isinstance(self.lead, Tensor) else self.lead)
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ class Elements:
         origin, lead = self.origin, self.lead
         if origin is None:
             raise RuntimeError("statics has no rates; set needs_step on the effect")
-        if isinstance(lead, float) and lead == 0:
+        if not isinstance(lead, Tensor) and lead == 0:
             return self.once(name, origin, work_out)
         lagged = self.lagged
         assert lagged is not None

@@ -187,7 +187,7 @@ class Potential:
         x = x.detach().contiguous()
         if x.device.type == "cpu":
             return self._summed(x, step, body)
-        assert step is None or isinstance(step.lead, float)  # the network's steps have none
+        assert step is None or not isinstance(step.lead, Tensor)  # the network's steps have none
         kind = step and (step.dt, step.pressed is None, step.lead), body is None
         recorded = self._recorded.setdefault(kind, Recorded(partial(self._of_fields, step, body)))
         energy, gradient = recorded(x, *_fields(step, x), *(() if body is None else vars(body).values()))

@@ -137,7 +137,7 @@ class Tangents:
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
             elif (term.effect.needs_step or term.effect.reads_step) and len(total) > _FEW:
                 elements = potential.elements(term, stage.x, stage.step, stage.body)
-                if (which := (name, stage.step.lead != 0)) not in self._read:
+                if (which := (name, float(stage.step.lead) != 0)) not in self._read:
                     self._read[which] = _read(term, elements)
                 for field in self._read[which]:
                     by = getattr(change, field).numpy().reshape(len(total), -1)

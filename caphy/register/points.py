@@ -146,6 +146,8 @@ def read_points(run: Path, part: Part) -> list[ScanPoints]:
 
 def _of_these(known: dict[Part, list[str]], names: Sequence[str]) -> dict[Part, list[str]] | None:
     """What a split says of some scans, if it knows each of them and no side is left without any."""
-    kept = {part: [name for name in given if name in set(names)] for part, given in known.items()}
+    kept: dict[Part, list[str]] = {
+        part: [name for name in given if name in set(names)] for part, given in known.items()
+    }
     emptied = any(known[part] and not kept[part] for part in known)
     return None if emptied or len(kept["train"] + kept["held_out"]) < len(names) else kept
