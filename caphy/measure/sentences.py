@@ -120,7 +120,7 @@ def _cautions(figures: dict) -> list[str]:
         said.append(
             f"Caution: the solver did not converge in {100 * (1 - prediction['converged']):.0f} % of the frames."
         )
-    if prediction["restarted"] and prediction["windows"] < 4:
+    if prediction["restarted"] and 0.5 ** prediction["windows"] > _CHANCE:  # that all of them agree
         said.append(f"Caution: {_windows(prediction)} cannot tell a cause from chance; measure longer.")
     if error["interval_mm"] is not None and error["interval_mm"][1] > 2 * error["interval_mm"][0]:
         low, high = error["interval_mm"]

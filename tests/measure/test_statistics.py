@@ -156,5 +156,6 @@ def test_sentences_keep_still_where_they_do_not():
     assert "the median does not tell whether an effect is missing" in quiet[1]
     assert len(quiet) == 2
     doubtful = figures()
-    doubtful["prediction"] |= {"windows": 2, "converged": 0.9}
-    assert sum(sentence.startswith("Caution") for sentence in sentences(doubtful)) == 2
+    for windows, cautions in ((2, 2), (4, 2), (5, 1)):
+        doubtful["prediction"] |= {"windows": windows, "converged": 0.9}
+        assert sum(sentence.startswith("Caution") for sentence in sentences(doubtful)) == cautions
