@@ -42,7 +42,7 @@ class Validate:
 def main(arguments: list[str]) -> None:
     """Entry point of ``caphy validate``."""
     options = tyro.cli(Validate, args=arguments, prog="caphy validate")
-    settings = _settings(options.run)
+    settings = _read(options.run / "run.json")
     if not options.seconds > 0.1:
         raise CaphyError(f"--seconds must be more than 0.1, got {options.seconds}")
 
@@ -99,16 +99,16 @@ def _line(summary: dict) -> str:
     )
 
 
-def _settings(run: Path) -> dict:
+def _read(path: Path) -> dict:
     try:
-        return json.loads((run / "run.json").read_text())
+        return json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise CaphyError(f"{run}: is not a folder that 'caphy train' wrote: {error}") from error
+        raise CaphyError(f"{path.parent}: is not a folder that 'caphy train' wrote: {error}") from error
 
 
 def _body(run: Path) -> Path | None:
     """The body that a training was on, if it was one of its own."""
-    given = json.loads((run / OPTIONS).read_text()).get("body")
+    given = _read(run / OPTIONS).get("body")
     return None if given is None else option(Path, given, run.resolve())
 
 
