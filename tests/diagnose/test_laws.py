@@ -104,7 +104,7 @@ def test_a_gust_far_from_one_swing_a_second_is_found_beside_a_wind():
 
 
 def test_a_gust_that_is_added_gets_its_frequency():
-    """With an interval, where another frequency than one of those that are looked at meets more windows better."""
+    """By the refit of an effect that is asked for by name, without a wind beside it."""
     films = [measured(*simulate(1.7, tempo=1.15, settle=2.0, push=partial(gusty, 2.8)), seed=3)]
     added = refit(MODEL, films, ("gust",))
     assert float(added.model.effects["gust"]["frequency"]) == pytest.approx(2.8, rel=0.025)
