@@ -25,7 +25,7 @@ _FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a sho
 _WEIGHED = 3  # times that variance and weights are told anew
 
 RETELLINGS = 3
-"""Times at most that the mesh's error is told of a fitted model."""
+"""Times at most that the errors of time step and mesh are told of a fitted model."""
 
 _AGREE = 0.9  # cosine of two steps between retellings beyond which they are of one way
 _SHRINKS = 0.8  # factor from one to the next that is believed at most
@@ -140,15 +140,14 @@ def tried(
 
 
 def retold(
-    study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "what the mesh does now"
+    study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "what mesh and steps do now"
 ) -> Fit:
-    """A fit carried on with the mesh's error told of the fitted model, where it is known how much of it is there.
+    """A fit carried on with what finer steps do otherwise, and a finer mesh where it is known how much of that is there,
+    told of the fitted model.
 
-    A coarse mesh does not answer a stiffness or a damping as the cloth does; how its error changes with the fit tells
-    what is between them. Each time the numbers go a part of the way that was left: after two of them, to its end.
+    A coarse mesh and long steps do not answer a stiffness or a damping as the cloth does; how their errors change with
+    the fit tells what is between them. Each time the numbers go a part of the way that was left: after two of them, to its end.
     """
-    if study.mesh is None:
-        return best
     path, there, before = [best.change], best.model, best.by_retelling
     for _ in range(RETELLINGS):
         told = tried(study, best, there, variance, weight, what, {"solver"})

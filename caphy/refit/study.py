@@ -94,13 +94,16 @@ class Study:
         Args:
             pushes: makes further forces, of no effect, to respond to.
             anew: errors to tell of this model even where an earlier one's are known: "start", and "solver", those of
-                time step and mesh. The latter only where it is known how much the mesh does: a coarse one gives in less
-                to a strong effect too, so that more of an error told anew and more of the effect would look alike.
+                time step and mesh. That of the mesh only where it is known how much the mesh does: a coarse one gives
+                in less to a strong effect too, so that more of an error told anew and more of the effect would look
+                alike.
             free: leave the mesh's error free in each window, to learn how much of it is there; all of ``anew`` is told.
         """
         places = [(number, frame) for number, starts in enumerate(self.starts) for frame in starts]
         found: dict[int, Response] = {}
-        told = frozenset(anew) if free or self.mesh is not None else frozenset(anew) - {"solver"}
+        told = frozenset(anew) - {"solver"}
+        if "solver" in anew:
+            told |= {"step", "mesh"} if free or self.mesh is not None else {"step"}
         for place, response in self._responses(places, model, columns, pushes, told):
             wrong = 0.0 if self._expected is None else self._expected[place]
             known = response if free or self.mesh is None else response.with_mesh(self.mesh)
