@@ -50,6 +50,7 @@ Only where base measurements have told the parameters: a stiffness that is far o
 OWN = 1.5
 """Times the best gain of the library: what parameters must reach that base measurements have told already."""
 
+_ITSELF = 0.99  # of a gain by chance: of a window that says next to nothing it does not matter how its sign was drawn
 _CLOSE = 0.6  # of the best gain: what is refitted
 _EVEN = 0.85  # of the best gain: what tangents do not tell from it
 _ROLLED = 0.05  # of the misfit: by how much one roll-out must be better than another to mean anything
@@ -222,7 +223,7 @@ def _weighed(
     few, limits = in_few(known, places), bounds(columns, model)
     chance = null_gains(known, [index for label, index in places.items() if label not in few], limits)
     needed = LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain)
-    needed = max(needed, float(np.quantile(chance, CHANCE)))
+    needed = max(needed, _ITSELF * float(np.quantile(chance, CHANCE)))
     more = {group.label: 0.0 if base is None else _more_needed(group, base) for group in groups}
     lent = borrowed_gains(known, responses, variance, [places[label] for label in few], limits)
     more |= {label: max(more[label], float(np.quantile(lent, CHANCE))) for label in few}

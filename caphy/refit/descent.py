@@ -142,11 +142,12 @@ def tried(
 def retold(
     study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "what mesh and steps do now"
 ) -> Fit:
-    """A fit carried on with what finer steps do otherwise, and a finer mesh where it is known how much of that is there,
-    told of the fitted model.
+    """A fit carried on with what finer steps do otherwise, and a finer mesh where it is known how much of that is
+    there, told of the fitted model.
 
     A coarse mesh and long steps do not answer a stiffness or a damping as the cloth does; how their errors change with
-    the fit tells what is between them. Each time the numbers go a part of the way that was left: after two of them, to its end.
+    the fit tells what is between them. Each time the numbers go a part of the way that was left: after two of them, to
+    its end.
     """
     path, there, before = [best.change], best.model, best.by_retelling
     for _ in range(RETELLINGS):

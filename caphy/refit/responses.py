@@ -42,7 +42,7 @@ FINER = 4
 STEP_DOUBT = 0.5
 """One standard deviation of how much more or less of that error is there, as a share of it.
 
-In 25 windows of the challenge the true models asked for 1.1 of it, with half of it more or less but where cloth buckles.
+In 25 windows of the challenge the true models asked for 1.1 of it, give or take half but where cloth buckles.
 """
 
 ENOUGH = 0.5
