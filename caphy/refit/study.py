@@ -93,10 +93,10 @@ class Study:
 
         Args:
             pushes: makes further forces, of no effect, to respond to.
-            anew: errors to tell of this model even where an earlier one's are known: "start", and "solver", those of
-                time step and mesh. That of the mesh only where it is known how much the mesh does: a coarse one gives
-                in less to a strong effect too, so that more of an error told anew and more of the effect would look
-                alike.
+            anew: errors to tell of this model even where an earlier one's are known: "start", "step", and "solver",
+                those of time step and mesh. That of the mesh only where it is known how much the mesh does: a coarse
+                one gives in less to a strong effect too, so that more of an error told anew and more of the effect
+                would look alike.
             free: leave the mesh's error free in each window, to learn how much of it is there; all of ``anew`` is told.
         """
         places = [(number, frame) for number, starts in enumerate(self.starts) for frame in starts]

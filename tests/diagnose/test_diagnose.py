@@ -141,7 +141,8 @@ def test_what_base_measurements_show_is_not_named(plain, dragged):
     assert (first.note, second.note) == ("base: parameters were off", "diagnosis: lacked mass_damping")
     assert (first.data, second.added) == (("before",), ("mass_damping",))
     assert second.error_after < second.error_before == pytest.approx(first.error_after, rel=1e-3)
-    without = diagnose(stiff, [taken(3)], known, [plain])
+    # Not the fastest of the motions, in which the dashpots of their integrator show: 0.074 N s/m of 0.09.
+    without = diagnose(stiff, [taken(1)], known, [plain])
     assert (without.verdict, without.found, without.coefficients) == ("parameters", (), {})
     assert abs(without.model.effects["strain_stvk"]["lame_mu"] / 11.1 - 1) < 0.05
     assert without.held_out is without.by_base is not None
