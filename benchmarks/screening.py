@@ -21,7 +21,7 @@ from caphy.challenge.recording import record, seen_by_user
 from caphy.challenge.sheets import corners, users_square
 from caphy.challenge.square import square
 from caphy.diagnose.groups import columns_of, library
-from caphy.diagnose.screen import null_gains, screened
+from caphy.diagnose.screen import bounds, null_gains, screened
 from caphy.diagnose.search import screen
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
@@ -80,7 +80,7 @@ def _some(study: Study, model: Model) -> int:
     known = evidence(responses, study.variance(responses))
     known = replace(known, weight=robust_weights(known))
     screened(known, groups, places, model)
-    null_gains(known, groups, places, model)
+    null_gains(known, [*places.values()], bounds(columns, model))
     return len(columns)
 
 
