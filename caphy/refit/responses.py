@@ -305,13 +305,13 @@ class Watched:
         )
 
     def _at_rim(self, frames: np.ndarray, positions: np.ndarray, fields: np.ndarray) -> np.ndarray:
-        """What fields (L, N, V, 3) [m], the first of which is the residual, do across the rim of a cloth at positions
-        (L, V, 3) [m], in its modes (L, R / 3, 3, N) [m]; the residual is to where clouds end. Zero for loops of which
-        too little is known."""
+        """What fields (L, N, V, 3) [m], of which the residual and the doubt of the time step come first, do across the
+        rim of a cloth at positions (L, V, 3) [m], in its modes (L, R / 3, 3, N) [m]; the residual is to where clouds
+        end. Zero for loops of which too little is known."""
         assert self.scene.ends is not None
         middle, _, out = self.rim.frames(positions)
         across = (fields[:, :, self.rim.edges].mean(axis=3) * out[:, None]).sum(-1)  # (L, N, E)
-        across[:, 0] = ((self.scene.ends[frames] - middle) * out).sum(-1)
+        across[:, 0] = ((self.scene.ends[frames] - middle) * out).sum(-1) - across[:, 1] / STEP_DOUBT
         modal = [self._rim_projection.of(f.T, self.rim.enough(np.isfinite(f[0]), ENOUGH)) for f in across]
         return np.stack(modal).reshape(len(fields), -1, 3, fields.shape[1])
 

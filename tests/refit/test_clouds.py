@@ -17,7 +17,7 @@ from caphy.measure.scene import Scene
 from caphy.refit.columns import addition
 from caphy.refit.evidence import estimated_variance, whitened
 from caphy.refit.modes import COUNT
-from caphy.refit.responses import Response, Watched
+from caphy.refit.responses import STEP_DOUBT, Response, Watched
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -60,6 +60,19 @@ def test_what_lies_along_the_cloth_counts_where_it_was_measured_alone(film):
         assert moved[1] > 0.3 * MOVED
         assert (moved[0] < 0.1 * MOVED) == slides
     assert np.nanmedian(known.error) < np.nanmedian(plain.error)
+
+
+def test_what_finer_steps_do_is_taken_from_cloth_and_rim_alike(film):
+    positions, keys = film
+    ends = Rim.of(keys["rest_vertices"], keys["faces"]).frames(positions)[0]
+    watched = Watched(replace(Scene.of(Measurement(name="film", fps=30, vertices=positions, **keys)), ends=ends))
+    whole = next(watched.respond(MODEL, (), [START]))
+    of_step, of_mesh = np.moveaxis(watched._solver[START], 1, 0)
+    watched._solver[START] = np.stack([0 * of_step, of_mesh], axis=1)
+    bare = next(watched.respond(MODEL, (), [START]))
+    taken = whole.nuisance[..., 0] / STEP_DOUBT
+    assert np.linalg.norm(taken[:, COUNT:]) > 1e-4
+    np.testing.assert_allclose(bare.residual - whole.residual, taken, rtol=0, atol=1e-12)
 
 
 def unknown(film: tuple[np.ndarray, dict]) -> np.ndarray:
