@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 from types import FrameType
 from typing import NoReturn
 
@@ -59,6 +60,9 @@ def command() -> NoReturn:
             for child in sys.modules["multiprocessing"].active_children():
                 child.kill()  # one that still begins would miss its semaphores
                 child.join()
+            for thread in threading.enumerate():  # those that clear away after them, and would be stopped amid it
+                if not thread.daemon and thread is not threading.main_thread():
+                    thread.join(timeout=1)
             util._run_finalizers(0)  # or its tracker complains of semaphores
         sys.stdout.flush()
         sys.stderr.flush()
