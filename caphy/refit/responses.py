@@ -15,6 +15,7 @@ from caphy.effects.registry import find_effect
 from caphy.errors import CaphyError
 from caphy.measure.finer import FinerMesh
 from caphy.measure.noise import measurement_noise
+from caphy.measure.prediction import FINER
 from caphy.measure.rim import Rim
 from caphy.measure.scene import Scene
 from caphy.measure.windows import (
@@ -37,8 +38,6 @@ from caphy.solve.rollout import Simulator
 
 MESH = 1
 """Place of the mesh's error among nuisances."""
-FINER = 4
-"""How many times finer the steps are by which the error of the time step is told."""
 STEP_DOUBT = 0.5
 """One standard deviation of how much more or less of that error is there, as a share of it.
 
