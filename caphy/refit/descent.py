@@ -9,9 +9,9 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.errors import Diverged
-from caphy.refit.columns import Column, moved
+from caphy.refit.columns import Column, from_the_end, moved
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.fit import LARGE, Fit, judged
+from caphy.refit.fit import LARGE, Fit, judged, share_gone
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
 
@@ -21,7 +21,7 @@ _MOST_ROUNDS, _STILL_FALLS = 40, 0.01  # in all at most, and of the misfit what 
 _MORE_THAN_PROMISED, _LONGEST = 1.5, 4.0  # times a promise: a fall after which the next step is longer, times at most
 _SHORTER = 0.4
 _ROUGH = 0.05  # of the misfit: what differs between roll-outs of almost the same model, because folds snap
-_FUTILE = 0.03  # of the misfit: a promise that, once broken, is not worth a shorter step
+_FUTILE = 0.03  # of the misfit: a promise that is not worth a shorter step; slopes tell if it is kept
 _WEIGHED = 3  # times that variance and weights are told anew
 
 RETELLINGS = 3
@@ -91,10 +91,16 @@ def refined(
             if best.promise < enough * best.misfit:
                 return best
         elif best.promise < _FUTILE * best.misfit:
-            return best
+            return found if found is not None and _falls(best, found, step) else best
         else:
             step = _SHORTER * step
     return best
+
+
+def _falls(best: Fit, found: Fit, step: np.ndarray) -> bool:
+    """Whether slopes at both ends of a step say that the misfit falls. One window of a dozen whose cloth snaps into
+    another fold raises it by more than a weak effect takes away."""
+    return share_gone(best.evidence, found.evidence, step, from_the_end(best.columns, step))[0] > 0
 
 
 def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:

@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, from_the_end
-from caphy.refit.evidence import Evidence, borne_out, bounded, evidence, tamed
+from caphy.refit.evidence import Evidence, borne_out, bounded, evidence, ridged, tamed
 from caphy.refit.responses import Response
 
 FURTHEST = 10.0
@@ -150,12 +150,23 @@ def falls_evenly(before: Evidence, after: Evidence, change: np.ndarray, last: np
 def share_gone(
     before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray | None = None
 ) -> tuple[float, float]:
-    """The share of the misfit that a change (K,) takes away, as by :func:`falls_evenly`, and its standard error.
+    """The share of the misfit that a change (K,) takes away, by :func:`gone`, and its standard error: that of a sum
+    over windows."""
+    return summed(gone(before, after, change, last))
+
+
+def summed(shares: np.ndarray) -> tuple[float, float]:
+    """The sum over windows (W,) and its standard error."""
+    return float(shares.sum()), float(np.sqrt(len(shares)) * shares.std(ddof=1)) if len(shares) > 1 else np.inf
+
+
+def gone(before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:
+    """Shares (W,) of the whole misfit that a change (K,) takes away in each window, as by :func:`falls_evenly`.
 
     Where it takes away more than 30 % tangents do not reach from one end to the other, and roll-outs tell. Where the
     ends are at odds (viscosity does less and less the more there is of it) roll-outs tell too, but no less than the
-    lesser of what either end promises and no more than the greatest of all three. The error is that of a sum over
-    windows.
+    lesser of what either end promises and no more than the greatest of all three; of what soon does no more tangents
+    where it begins promise harm, and the best part of the way by them is the most.
     """
     zero = np.zeros_like(change)
     old, new = before.misfit(zero), after.misfit(zero)
@@ -165,11 +176,28 @@ def share_gone(
         after.along(change if last is None else last),
     )
     ends = -(slope + curvature / 2).sum(), -(last_slope - last_curvature / 2).sum()
+    part = max(-slope.sum(), 0.0) ** 2 / (2 * curvature.sum()) if ends[0] < 0 else 0.0
     evenly, falls = falls_evenly(before, after, change, last), old - new
     if new.sum() >= (1 - LARGE) * old.sum():
         if abs(ends[0] - ends[1]) <= _AT_ODDS * total:
             falls = evenly
         else:
-            falls += (np.clip(falls.sum(), min(ends), max(*ends, evenly.sum())) - falls.sum()) / len(falls)
-    falls = falls / total
-    return float(falls.sum()), float(np.sqrt(len(falls)) * falls.std(ddof=1)) if len(falls) > 1 else np.inf
+            falls += (np.clip(falls.sum(), min(ends), max(*ends, evenly.sum(), part)) - falls.sum()) / len(falls)
+    return falls / total
+
+
+def gone_elsewhere(fitted: Fit, parts: np.ndarray) -> np.ndarray:
+    """Shares (W,) of the misfit that a fit takes away in each window where the windows of its part are left out of it;
+    ``parts`` (W,) tells which each is of, such as the motion.
+
+    Numbers are told by the slopes at the fit, where the misfit is nearly a quadratic form.
+    """
+    last = from_the_end(fitted.columns, fitted.change)
+    known, shares = fitted.evidence, gone(fitted.first, fitted.evidence, fitted.change, last)
+    total = max(float((fitted.first.weight * fitted.first.c).sum()), 1e-300)
+    for part in np.unique(parts):
+        here = parts == part
+        rest = replace(known, weight=known.weight * ~here)
+        other = known.misfit(ridged(*rest.normal, 1e-9)) - known.misfit(np.zeros_like(last))
+        shares[here] -= other[here] / total
+    return shares

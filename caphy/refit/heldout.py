@@ -120,8 +120,8 @@ class Apart:
 
     def between(self, before: Model, after: Model) -> HeldOut:
         """Roll out two models of which nothing else is known; their misfits are compared as they are."""
-        study, _ = self._before[1:] if self._before is not None else (self.study.afresh(), None)
-        new, old = (study.respond(each, (), "held-out windows", anew={"step"}) for each in (after, before))
+        study = self.study.afresh()
+        new, old = (study.respond(each, (), "held-out windows", anew={"solver"}) for each in (after, before))
         was, now = (evidence(picked(each, ()), self.variance) for each in (old, new))
         weight = robust_weights(was)
         fell, whole = weight * (was.c - now.c), float((weight * was.c).sum())

@@ -90,3 +90,21 @@ def test_settled_when_the_step_left_is_small_beside_the_change():
         return Fit(start, model, (drag,), known, [], known, 0.0 + (99.0 + left**2).sum(), known.c)
 
     assert [at(rate).settled for rate in (0.5, 0.9, 0.97, 1.0)] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("strength", [2.0, 3.0, 4.0, 5.0])
+def test_what_soon_does_no_more_takes_away_what_it_takes_away(strength):
+    """Viscosity: where it begins it promises harm by the whole of the change, and where it ends nothing."""
+    random = np.random.default_rng(3)
+    noise, way = random.normal(size=(COUNT, 400)), random.normal(size=(COUNT, 400))
+    way *= 0.3 * np.linalg.norm(noise) / np.linalg.norm(way)
+
+    def at(a: float) -> Evidence:
+        s = way * np.exp(-a)
+        e = noise + way * (1 - np.exp(-strength)) - way * (1 - np.exp(-a))
+        forms = [np.einsum("we,we->w", x, y) for x, y in ((s, s), (s, e), (e, e))]
+        return Evidence(forms[0][:, None, None], forms[1][:, None], forms[2], np.ones(COUNT), np.full(COUNT, 400))
+
+    before, after = at(0.0), at(strength)
+    true = 1 - after.c.sum() / before.c.sum()
+    assert share_gone(before, after, np.array([strength]))[0] == pytest.approx(true, rel=0.02)
