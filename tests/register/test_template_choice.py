@@ -10,7 +10,7 @@ from dressed_scans import GARMENTS, Subject, look
 
 from caphy.body.bundled import default_body
 from caphy.errors import CaphyError
-from caphy.garment.families import FAMILIES, Trousers, default_rise
+from caphy.garment.families import FAMILIES, Trousers, Tshirt, default_rise, make
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register import template
@@ -109,6 +109,22 @@ def test_a_waistband_that_is_seen_is_where_it_is_seen():
     assert choice.style.rise == pytest.approx(waist, abs=0.015)
 
 
+def test_a_neckline_is_no_matter_of_luck(monkeypatch):
+    """Styles draw lengths and necklines together, and lengths weigh far more."""
+    monkeypatch.setattr(template, "KINDS", {"upper": ("tshirt",)})
+    monkeypatch.setattr(template, "EASES", {"tshirt": EASES["tshirt"][:1]})
+    monkeypatch.setattr(template, "EASE_STEPS", {})
+    monkeypatch.setattr(template, "STYLES", 42)
+    deep = make(Tshirt(neck_width=0.015, neck_depth=0.05), default_body())
+    cloud, placed = a_pose([deep, bundled()[1]])
+    target = Target.of(cloud, placed, "upper")
+    styles = [template.choose(placed.figure, [target], "upper", quiet, seed).style for seed in range(3)]
+    for name, true in (("neck_width", 0.015), ("neck_depth", 0.05)):
+        told = [getattr(style, name) for style in styles]
+        assert told == pytest.approx([true] * 3, abs=0.015)
+        assert np.ptp(told) <= 0.01
+
+
 def test_a_sheet_trims_as_the_cut_itself_does():
     """A style's points are the longest garment's that lie inside the openings of the style's own cut."""
     marks = Landmarks.of(default_body())
@@ -119,6 +135,16 @@ def test_a_sheet_trims_as_the_cut_itself_does():
     assert 500 < kept.sum() < len(kept)
     assert not (kept & ~np.all(inside, axis=0)).any()
     assert (np.all(inside, axis=0) & ~kept).sum() < 0.02 * kept.sum()  # what is not part of the garment's piece
+
+
+def test_a_sheet_knows_other_necklines():
+    marks = Landmarks.of(default_body())
+    sheet = Sheet.of(longest("tshirt", {}, marks), marks)
+    deep = replace(sheet.longest, neck_width=0.04, neck_depth=0.1)
+    inside = np.all([value(sheet.points) > 0 for value in deep.cut(marks).openings.values()], axis=0)
+    kept, usual = sheet.kept(deep), sheet.kept(sheet.longest)
+    assert not (kept & ~inside).any() and (inside & ~kept).sum() < 0.02 * kept.sum()
+    assert (usual & ~kept).sum() > 50
 
 
 def test_every_family_has_styles_that_can_be_cut():
