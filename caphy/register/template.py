@@ -101,7 +101,7 @@ def choose(figure: Figure, targets: Sequence[Target], kind: str, progress: Progr
         scores = [(judge(style), style) for style in styles_of(judge.sheet, each, rng)]
         looked_at += len(scores)
         style = judge.ended(min(scores, key=lambda pair: pair[0])[1])
-        style = with_neck(judge, refined_lengths(judge, style, judge(style))[1])
+        style = with_neck(judge, refined_lengths(judge, style, judge(style))[1], judge.targets)
         found.append((judge(style), style, judge))
     best = min(found, key=lambda item: item[0])
     families = {family: min(f[0] for f in found if f[1].family == family) for family in KINDS[kind]}
@@ -185,13 +185,16 @@ def refined_lengths(judge: Judge, style: Family, score: float) -> tuple[float, F
     return (float(answer.fun), styled(answer.x)) if answer.fun < score else (score, style)
 
 
-def with_neck(judge: Judge, style: Family) -> Family:
-    """The style with the neckline that fits best at its lengths, which must be right before: a centimetre of them costs
-    3 mm, and necklines differ by tenths."""
+def with_neck(judge: Judge, style: Family, shown: Sequence[Target]) -> Family:
+    """The style with the neckline that fits the scans ``shown`` best at its lengths.
+
+    Lengths must be right before: a centimetre of them costs 3 mm, and necklines differ by tenths.
+    """
     if not hasattr(style, "neck_width"):
         return style
     necks = product(NECK_WIDTHS.tolist(), NECK_DEPTHS.tolist())
-    return min((replace(style, neck_width=width, neck_depth=depth) for width, depth in necks), key=judge)
+    styles = [replace(style, neck_width=width, neck_depth=depth) for width, depth in necks]
+    return min(style, *styles, key=Judge(judge.sheet, shown, judge.borders))
 
 
 def refined(style: Family, judge: Judge, shown: Sequence[Target]) -> tuple[Family, Judge]:
@@ -201,7 +204,7 @@ def refined(style: Family, judge: Judge, shown: Sequence[Target]) -> tuple[Famil
     """
     steps = {name: step for name, step in EASE_STEPS.items() if hasattr(style, name)}
     for share in (1.0, 0.5):
-        style = with_neck(Judge(judge.sheet, shown, judge.borders), style)
+        style = with_neck(judge, style, shown)
         score = judge(style)
         for name, step in steps.items():
             for sign in (1.0, -1.0):
