@@ -31,6 +31,8 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 }
 """Families that each label of a scan can be."""
 
+BELOW = 0.051
+"""Least length [m] of a skirt below the crotch: a millimetre more than its cut asks for."""
 TRIMS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
     "tshirt": {"length": {"hem": 1.0}, "sleeve": {"cuff": 1.0}},
     "longsleeve": {"length": {"hem": 1.0}, "sleeve": {"cuff": 1.0}},
@@ -77,6 +79,13 @@ def ranges(family: str, marks: Landmarks) -> dict[str, tuple[float, float]]:
         "shorts": {"leg": (0.07, 0.6 * inseam), "rise": rise},
         "skirt": {"length": (0.3, marks.crotch + rise[0] - marks.joint("left_ankle")[1]), "rise": rise},
     }[family]
+
+
+def cuttable(style: Family) -> Family:
+    """The style; a skirt that would end above the crotch, or right below it, is as long as its cut asks for."""
+    if style.family != "skirt":
+        return style
+    return replace(style, length=max(style.length, style.rise + BELOW))  # pyright: ignore
 
 
 @dataclass(eq=False)
@@ -168,4 +177,4 @@ def styles_of(sheet: Sheet, count: int, rng: np.random.Generator) -> Iterator[Fa
         chosen = {name: low + p * (high - low) for p, (name, (low, high)) in zip(place, limits.items(), strict=True)}
         if any(f.name == "neck_width" for f in fields(sheet.longest)):
             chosen["neck_width"], chosen["neck_depth"] = NECKS[i % len(NECKS)]
-        yield replace(sheet.longest, **chosen)
+        yield cuttable(replace(sheet.longest, **chosen))

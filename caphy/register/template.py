@@ -25,6 +25,7 @@ from caphy.register.styles import (
     NECK_WIDTHS,
     TRIMS,
     Sheet,
+    cuttable,
     longest,
     ranges,
     seen_lengths,
@@ -141,7 +142,7 @@ class Judge:
     def ended(self, style: Family) -> Family:
         """The style with the lengths that the scans show, as far as its family goes."""
         lengths = {name: np.clip(value, *self._limits[name]) for name, value in self._lengths(style).items()}
-        return replace(style, **{name: float(value) for name, value in lengths.items()})
+        return cuttable(replace(style, **{name: float(value) for name, value in lengths.items()}))
 
     def _shown(self, kept: np.ndarray) -> bool:
         return all((kept & known).sum() >= LEAST_POINTS for known, _ in self._seen)
@@ -176,7 +177,7 @@ def refined_lengths(judge: Judge, style: Family, score: float) -> tuple[float, F
     low, high = (np.array([limits[name][k] for name in names]) for k in (0, 1))
 
     def styled(values: np.ndarray) -> Family:
-        return replace(style, **dict(zip(names, np.clip(values, low, high).tolist(), strict=True)))
+        return cuttable(replace(style, **dict(zip(names, np.clip(values, low, high).tolist(), strict=True))))
 
     start = np.array([getattr(style, name) for name in names])
     corners = np.vstack([start, start + 0.03 * np.eye(len(names))])
