@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from caphy.register.chamfer import Target
     from caphy.register.cloud import Cloud
     from caphy.register.fit import BodyFit, Taken
+    from caphy.register.points import ScanPoints
     from caphy.register.template import Choice
     from caphy.scan.scan import Scan
     from caphy.scan.scan_set import ScanSet
@@ -207,7 +208,7 @@ def _garments(command: Garments) -> None:
     found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
     shown = _shown(command.output, fit.names)
     with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
-        for kind in command.kinds:
+        for kind in sorted(command.kinds):  # what is worn beneath comes first
             found[kind] = _garment(command, fit, shown, scans, kind, model, Kept(folder))
     write_text(command.output / "garments.json", json.dumps(found, indent=1, allow_nan=False))
 
@@ -227,15 +228,19 @@ def _garment(
     """
     from dataclasses import asdict
 
+    from caphy.garment.template import Garment
     from caphy.register.eases import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
+    from caphy.register.points import ScanPoints
     from caphy.register.template import COMPARED, choose
 
     chosen, clouds, targets = _targets(fit, shown, scans, kind)
     names = [fit.names[i] for i in chosen]
     basis, path = command.upper_basis if kind == "upper" else command.lower_basis, command.output / f"{kind}.npz"
     given = kind, command.body, (command.output / "body.npz").read_bytes(), names, clouds
-    whole = kept.key("garment", given, model.to_json(), None if basis is None else basis.read_bytes())
+    beneath = command.output / "lower.npz"
+    worn = beneath.read_bytes() if kind == "upper" and beneath.is_file() else None
+    whole = kept.key("garment", given, model.to_json(), None if basis is None else basis.read_bytes(), worn)
     known = kept.recall(whole)
     if known is not None and path.is_file() and str(known["digest"]) == digest(path.read_bytes()):
         print(f"{path}: chosen by the run that was stopped")
@@ -249,6 +254,9 @@ def _garment(
         placements = [fit.placements[i] for i in chosen]
         with Progress() as progress:
             choice = _chosen(kept, kept.key("style", given), lambda: choose(fit.figure, targets, kind, progress))
+            if worn is not None:
+                points = [ScanPoints.of(*each) for each in zip(clouds, placements, strict=True)]
+                choice = _outermost(choice, Garment.load(beneath), fit.figure, points)
             nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
             style, garment = _hung(choice, fit.figure, placements, nearest, kind, model, progress, kept)
         told = asdict(style) | {"families": dict(choice.runners_up)}
@@ -331,6 +339,23 @@ def _chosen(kept: Kept, key: str, choose: Callable[[], Choice]) -> Choice:
     return choice
 
 
+def _outermost(choice: Choice, lower: Garment, figure: Figure, points: Sequence[ScanPoints]) -> Choice:
+    """The choice of an upper garment, thick enough for what lies beneath unless the scans show it tucked in."""
+    from dataclasses import replace
+
+    from caphy.garment.families import Top
+    from caphy.register.layers import over
+    from caphy.register.template import dressed_body, made
+    from caphy.training.scans import innermost_first, scan_motions
+
+    assert isinstance(choice.style, Top)
+    upper = made(choice, figure)
+    worn = {"upper": (upper.vertices, upper.weights), "lower": (lower.vertices, lower.weights)}
+    if innermost_first(points, worn, scan_motions(points, dressed_body(figure), [0], 1.0))[0] == "upper":
+        return choice
+    return replace(choice, style=over(choice.style, lower, figure))
+
+
 def _hung(
     choice: Choice,
     figure: Figure,
@@ -356,8 +381,8 @@ def _hung(
         return garment
 
     def hang(garment: Garment, cloth: Cloth, body: BodyModel, placement: Placement, model: Model) -> np.ndarray:
-        given = garment.vertices, garment.faces, garment.weights, body.v_template, placement, model.to_json()
-        key = kept.key("hung", given)
+        given = garment.vertices, garment.faces, garment.weights, garment.layer_thickness, body.v_template
+        key = kept.key("hung", given, placement, model.to_json())
         if (known := kept.recall(key)) is not None:
             return known["vertices"]
         vertices = hung(garment, cloth, body, placement, model)

@@ -36,7 +36,7 @@ def top(
     hem = neck[1] - length
     skin = body_distance(marks)
     parts = [_trunk(marks, hem, ease, flare)]
-    openings = {"neck": _neckline(marks, neck_width, neck_depth), "hem": lambda p: p[:, 1] - hem}
+    openings = {"neck": neckline(marks, neck_width, neck_depth), "hem": lambda p: p[:, 1] - hem}
     if sleeve > 0:
         parts.append(_sleeve(marks, sleeve_ease))
         out = slice_frame(marks.joint("left_wrist") - shoulder)[0]
@@ -79,8 +79,11 @@ def _sleeve(marks: Landmarks, ease: float, taper: float = 0.12) -> Field:
     return lambda p: smooth_max(arm.distance(p), -0.02 - (p - shoulder) @ arm.frame[0], 0.02)
 
 
-def _neckline(marks: Landmarks, width: float, depth: float) -> Field:
-    """Positive outside an elliptic cylinder round the neck, tilted forward and closed below at the nape."""
+def neckline(marks: Landmarks, width: float, depth: float) -> Field:
+    """Positive outside an elliptic cylinder round the neck, tilted forward and closed below at the nape.
+
+    ``width`` and ``depth`` [m]: the gap beside the neck, and how far it dips in front.
+    """
     tilt = np.radians(40.0)
     axis = np.array([0.0, np.cos(tilt), np.sin(tilt)])
     forward = np.array([0.0, -np.sin(tilt), np.cos(tilt)])

@@ -16,10 +16,11 @@ from caphy.scan.scan import LOWER, UPPER
 LABELS = {"upper": UPPER, "lower": LOWER}
 MOST = 0.08
 """Distance [m] beyond which points count no more."""
-ASIDE = 0.75
-"""How far cloth goes on beside its points, in distances to the next point (of which nine in ten are shorter).
-
-With points strewn at random, half of those just at an edge lie within it: garments come out neither long nor short."""
+AROUND, FEW = 0.02, 2.5
+"""Radius [m] of the patch of cloth that tells whether a place lies over it or beyond its edge; where points are few, in
+distances to the next point (of which nine in ten are shorter)."""
+EDGE = 4 / (3 * np.pi)
+"""Distance of the middle of half a disc from that of the disc, in radii: so far aside lies the cloth at its edge."""
 BESIDE = 3
 """Vertices of the body next to a place that are asked whether a shirt lies over it."""
 CLOTH_POINTS, ALL_POINTS = 2000, 24000
@@ -67,10 +68,10 @@ class Target:
         return KDTree(self.scan.points)
 
     @cached_property
-    def reach(self) -> float:
-        """How far aside of the nearest of its points the cloth still goes on [m]."""
+    def around(self) -> float:
+        """Radius [m] of a patch of cloth with points enough to tell where its middle is."""
         some = self.points[:: max(1, len(self.points) // 1000)]
-        return ASIDE * float(np.quantile(self.cloth_tree.query(some, k=2)[0][:, 1], 0.9))
+        return max(AROUND, FEW * float(np.quantile(self.cloth_tree.query(some, k=2)[0][:, 1], 0.9)))
 
     def posed(self, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Points (N, 3) on the T-posed body, skinned with weights (N, 55) into this scan."""
@@ -81,17 +82,30 @@ class Target:
         """Which posed points (N,) lie where the scan shows what is there, and which of them where it is this cloth.
 
         Nothing is known far from any point of the scan, nor for a lower garment where an upper one lies over it, unless
-        its cloth is seen there from below. Cloth is where its nearest point lies straight below or above, rather than
-        aside, as it does beyond a hem.
+        its cloth is seen there from below. Cloth is where the middle of what is near of it lies straight below or
+        above, rather than aside, as it does beyond a hem.
         """
         distance, nearest = self.everything.query(posed)
         known = (distance < MOST) & ~((self.kind == "lower") & (self.scan.labels[nearest] == UPPER))
-        nearest = self.cloth_tree.query(posed)[1]
-        offset = posed - self.cloth_tree.data[nearest]
-        up = (offset * self.normals[nearest]).sum(axis=1)
-        aside = np.sqrt(np.maximum((offset**2).sum(axis=1) - up**2, 0.0))
-        cloth = known & (np.abs(up) < MOST) & (aside < self.reach)
+        offset, normal = self._nearby(posed)
+        up = (offset * normal).sum(axis=1)
+        aside = np.linalg.norm(offset - up[:, None] * normal, axis=1)
+        cloth = known & (np.abs(up) < MOST) & (aside < EDGE * self.around)
         return known & (cloth | ~self._under(posed)), cloth
+
+    def _nearby(self, posed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean offset (N, 3) [m] of posed points from the cloth near them, and its mean normal (N, 3).
+
+        Of the nearest point alone neither tells: it is the one that noise has moved out most, aside by as much as the
+        posed point lies high.
+        """
+        near = self.cloth_tree.query_ball_point(posed, np.hypot(self.cloth_tree.query(posed)[0], self.around))
+        counts = np.array([len(each) for each in near])
+        starts, points = np.cumsum(counts) - counts, np.concatenate(near).astype(int)
+        places, normals = (
+            np.add.reduceat(values[points], starts) / counts[:, None] for values in (self.points, self.normals)
+        )
+        return posed - places, normals / (np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12)
 
     def _under(self, posed: np.ndarray) -> np.ndarray:
         """Which posed points (N,) of a lower garment lie over a place of the body that an upper one lies over too.

@@ -21,7 +21,7 @@ from caphy.garment.template import Garment, read_npz
 from caphy.garment.usermesh import UserMesh
 from caphy.register.articulation import Figure
 from caphy.register.chamfer import MOST, Target
-from caphy.register.template import COMPARED, STYLES, dressed_body
+from caphy.register.template import COMPARED, LEAST_POINTS, NOTHING, STYLES, dressed_body
 
 SPREAD = 2.0
 """Coefficients are looked at up to this many standard deviations."""
@@ -29,6 +29,9 @@ STEPS = 8
 """Gauss-Newton steps that refine the best of them."""
 NOISE = 0.01
 """How far cloth lies from its template [m]: what the coefficients' own spread is weighed against."""
+
+UNUSUAL = 0.0002
+"""Cost [m] of a coefficient a standard deviation from the mean garment's: decides what no camera saw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +107,18 @@ def choose_linear(
     weights = skinning_weights(style.mean, style.faces, marks.body, marks.vertices)
     drawn = style.deviations * np.clip(rng.standard_normal((count, len(style.deviations))), -SPREAD, SPREAD)
     drawn[0] = 0.0
-    scores = [_distance(style, weights, targets, each) for each in drawn]
-    best = drawn[int(np.argmin(scores))]
-    score = min(scores)
+
+    def score(coefficients: np.ndarray) -> float:
+        unusual = UNUSUAL * float(((coefficients / style.deviations) ** 2).sum())
+        return _distance(style, weights, targets, coefficients) + unusual
+
+    best = min(drawn, key=score)
     for _ in range(STEPS):
         tried = _refined(style, weights, targets, best)
-        found = _distance(style, weights, targets, tried)
-        if found >= score:
+        if score(tried) >= score(best):
             break
-        best, score = tried, found
-    return LinearChoice(best, score, count)
+        best = tried
+    return LinearChoice(best, _distance(style, weights, targets, best), count)
 
 
 def linear_garment(style: LinearStyle, choice: LinearChoice, figure: Figure, kind: str) -> Garment:
@@ -125,10 +130,14 @@ def linear_garment(style: LinearStyle, choice: LinearChoice, figure: Figure, kin
 
 
 def _distance(style: LinearStyle, weights: np.ndarray, targets: Sequence[Target], coefficients: np.ndarray) -> float:
+    """Mean two-way distance [m]; of the garment only what the scans show counts, not what lies under a shirt."""
     score = 0.0
     for target in targets:
         posed = target.posed(style.vertices(coefficients), weights)
-        score += target.from_garment(posed).mean() + target.to_garment(posed)
+        known = target.seen(posed)[0]
+        if known.sum() < LEAST_POINTS:
+            return NOTHING
+        score += target.from_garment(posed[known]).mean() + target.to_garment(posed)
     return score / (2 * len(targets))
 
 
@@ -144,7 +153,7 @@ def _refined(
         away, own = target.cloth_tree.query(posed)
         back, vertex = KDTree(posed).query(target.cloth)
         gaps = np.concatenate([target.cloth_tree.data[own] - posed, target.cloth - posed[vertex]])
-        near = np.concatenate([away, back]) < MOST
+        near = np.concatenate([(away < MOST) & target.seen(posed)[0], back < MOST])
         rows = np.concatenate([moves, moves[vertex]])[near].reshape(-1, len(coefficients))
         scale = 1 / (NOISE**2 * len(gaps) * len(targets)) * 100  # a hundred points' worth of evidence
         matrix = matrix + scale * rows.T @ rows

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from caphy.garment import topology
 from caphy.garment.attach import skinning_weights
 from caphy.garment.families import FAMILIES, Family
 from caphy.garment.landmarks import Landmarks
-from caphy.garment.meshing import contour
+from caphy.garment.meshing import Field, contour
+from caphy.garment.tops import neckline
 from caphy.register.borders import Borders
 
 GRID = 0.015
@@ -29,6 +31,8 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 }
 """Families that each label of a scan can be."""
 
+BELOW = 0.051
+"""Least length [m] of a skirt below the crotch: a millimetre more than its cut asks for."""
 TRIMS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
     "tshirt": {"length": {"hem": 1.0}, "sleeve": {"cuff": 1.0}},
     "longsleeve": {"length": {"hem": 1.0}, "sleeve": {"cuff": 1.0}},
@@ -55,7 +59,9 @@ EASES: Mapping[str, tuple[Mapping[str, float], ...]] = {
 """Surfaces that are looked at, as differences from a family's defaults."""
 
 NECKS = ((0.005, 0.01), (0.015, 0.02), (0.03, 0.05), (0.045, 0.09))
-"""Widths and depths of necklines [m]."""
+"""Widths and depths of necklines [m] that lengths are looked for with."""
+NECK_WIDTHS, NECK_DEPTHS = np.arange(8) / 100, np.arange(16) / 100
+"""Widths and depths [m] that are looked at when lengths are known, each with each."""
 
 
 def ranges(family: str, marks: Landmarks) -> dict[str, tuple[float, float]]:
@@ -73,6 +79,13 @@ def ranges(family: str, marks: Landmarks) -> dict[str, tuple[float, float]]:
         "shorts": {"leg": (0.07, 0.6 * inseam), "rise": rise},
         "skirt": {"length": (0.3, marks.crotch + rise[0] - marks.joint("left_ankle")[1]), "rise": rise},
     }[family]
+
+
+def cuttable(style: Family) -> Family:
+    """The style; a skirt that would end above the crotch, or right below it, is as long as its cut asks for."""
+    if style.family != "skirt":
+        return style
+    return replace(style, length=max(style.length, style.rise + BELOW))  # pyright: ignore
 
 
 @dataclass(eq=False)
@@ -118,12 +131,16 @@ class Sheet:
                 shifts[opening] += rate * (getattr(style, length) - getattr(self.longest, length))
         return np.all([value + shifts[name] > 0 for name, value in inside.items()], axis=0)
 
+    @cached_property
+    def _longest(self) -> dict[str, Field]:
+        """The openings of the longest garment; the others do not ask where its neckline is."""
+        return dict(self.longest.cut(self.marks).openings)
+
     def _openings(self, style: Family) -> dict[str, np.ndarray]:
         """Depth inside each opening (N,) [m] of the longest garment with this style's neckline."""
         neck = (style.neck_width, style.neck_depth) if hasattr(style, "neck_width") else None  # pyright: ignore
         if neck not in self._inside:
-            own = self.longest if neck is None else replace(self.longest, neck_width=neck[0], neck_depth=neck[1])
-            openings = own.cut(self.marks).openings
+            openings = self._longest | ({} if neck is None else {"neck": neckline(self.marks, *neck)})
             whole = np.all([value(self.vertices) > 0 for value in openings.values()], axis=0)
             within = np.flatnonzero(whole[self.faces].any(axis=1))
             piece = within[topology.components(self.faces[within])[0]]
@@ -160,4 +177,4 @@ def styles_of(sheet: Sheet, count: int, rng: np.random.Generator) -> Iterator[Fa
         chosen = {name: low + p * (high - low) for p, (name, (low, high)) in zip(place, limits.items(), strict=True)}
         if any(f.name == "neck_width" for f in fields(sheet.longest)):
             chosen["neck_width"], chosen["neck_depth"] = NECKS[i % len(NECKS)]
-        yield replace(sheet.longest, **chosen)
+        yield cuttable(replace(sheet.longest, **chosen))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
@@ -17,7 +18,19 @@ from caphy.register.articulation import Figure, Placement
 from caphy.register.borders import Borders
 from caphy.register.chamfer import Target
 from caphy.register.starts import plain_poses
-from caphy.register.styles import EASES, KINDS, TRIMS, Sheet, longest, ranges, seen_lengths, styles_of
+from caphy.register.styles import (
+    EASES,
+    KINDS,
+    NECK_DEPTHS,
+    NECK_WIDTHS,
+    TRIMS,
+    Sheet,
+    cuttable,
+    longest,
+    ranges,
+    seen_lengths,
+    styles_of,
+)
 
 STYLES = 330
 """Styles looked at for each kind of garment."""
@@ -27,7 +40,8 @@ COMPARED = 2
 """How many of them styles are compared with point by point."""
 EASE_STEPS = {"ease": 0.012, "sleeve_ease": 0.008, "flare": 0.08, "leg_ease": 0.012, "taper": 0.05}
 """First steps of the refinement of a surface [m, or metres per metre]."""
-NECK_STEP = 0.012
+NECK_SCANS = 8
+"""How many of the plainest scans necklines are compared with: all of a neckline is a hundredth of a shirt."""
 BORDER = 0.05
 """Cost [m] of a garment that ends in the wrong place, by the share of its area that is too much or missing.
 
@@ -79,21 +93,21 @@ def choose(figure: Figure, targets: Sequence[Target], kind: str, progress: Progr
     """The style of a kind (``upper``, ``lower``) nearest to the cloth of ``targets``, the plainest scan first."""
     marks, rng = Landmarks.of(dressed_body(figure)), np.random.default_rng(seed)
     progress(f"{kind}: where it ends", 0, 1)
-    borders, targets = Borders.of(targets, marks), targets[:COMPARED]
+    borders = Borders.of(targets, marks)
     surfaces = [(family, eases) for family in KINDS[kind] for eases in EASES[family]]
     each, found, looked_at = -(-STYLES // len(surfaces)), [], 0
     for i, (family, eases) in enumerate(surfaces):
         progress(f"{kind}: styles", i, len(surfaces))
-        judge = Judge(Sheet.of(longest(family, eases, marks), marks), targets, borders)
+        judge = Judge(Sheet.of(longest(family, eases, marks), marks), targets[:COMPARED], borders)
         scores = [(judge(style), style) for style in styles_of(judge.sheet, each, rng)]
         looked_at += len(scores)
         style = judge.ended(min(scores, key=lambda pair: pair[0])[1])
-        score = judge(style)
-        found.append((*refined_lengths(judge, style, score), judge))
+        style = with_neck(judge, refined_lengths(judge, style, judge(style))[1], judge.targets)
+        found.append((judge(style), style, judge))
     best = min(found, key=lambda item: item[0])
     families = {family: min(f[0] for f in found if f[1].family == family) for family in KINDS[kind]}
     progress(f"{kind}: refining", 0, 1)
-    style, judge = refined(best[1], best[2])
+    style, judge = refined(best[1], best[2], targets[:NECK_SCANS])
     return Choice(style, judge.distance(style), looked_at, tuple(sorted(families.items(), key=lambda item: item[1])))
 
 
@@ -128,7 +142,7 @@ class Judge:
     def ended(self, style: Family) -> Family:
         """The style with the lengths that the scans show, as far as its family goes."""
         lengths = {name: np.clip(value, *self._limits[name]) for name, value in self._lengths(style).items()}
-        return replace(style, **{name: float(value) for name, value in lengths.items()})
+        return cuttable(replace(style, **{name: float(value) for name, value in lengths.items()}))
 
     def _shown(self, kept: np.ndarray) -> bool:
         return all((kept & known).sum() >= LEAST_POINTS for known, _ in self._seen)
@@ -163,7 +177,7 @@ def refined_lengths(judge: Judge, style: Family, score: float) -> tuple[float, F
     low, high = (np.array([limits[name][k] for name in names]) for k in (0, 1))
 
     def styled(values: np.ndarray) -> Family:
-        return replace(style, **dict(zip(names, np.clip(values, low, high).tolist(), strict=True)))
+        return cuttable(replace(style, **dict(zip(names, np.clip(values, low, high).tolist(), strict=True))))
 
     start = np.array([getattr(style, name) for name in names])
     corners = np.vstack([start, start + 0.03 * np.eye(len(names))])
@@ -172,13 +186,27 @@ def refined_lengths(judge: Judge, style: Family, score: float) -> tuple[float, F
     return (float(answer.fun), styled(answer.x)) if answer.fun < score else (score, style)
 
 
-def refined(style: Family, judge: Judge) -> tuple[Family, Judge]:
-    """The style with neckline, eases and lengths improved one after another, with steps that halve; and its judge."""
-    score = judge(style)
+def with_neck(judge: Judge, style: Family, shown: Sequence[Target]) -> Family:
+    """The style with the neckline that fits the scans ``shown`` best at its lengths.
+
+    Lengths must be right before: a centimetre of them costs 3 mm, and necklines differ by tenths.
+    """
+    if not hasattr(style, "neck_width"):
+        return style
+    necks = product(NECK_WIDTHS.tolist(), NECK_DEPTHS.tolist())
+    styles = [replace(style, neck_width=width, neck_depth=depth) for width, depth in necks]
+    return min(style, *styles, key=Judge(judge.sheet, shown, judge.borders))
+
+
+def refined(style: Family, judge: Judge, shown: Sequence[Target]) -> tuple[Family, Judge]:
+    """The style with neckline, eases and lengths improved one after another, with steps that halve; and its judge.
+
+    Necklines are held against the scans ``shown``, the rest against those of ``judge``.
+    """
     steps = {name: step for name, step in EASE_STEPS.items() if hasattr(style, name)}
     for share in (1.0, 0.5):
-        if hasattr(style, "neck_width"):
-            score, style = _refined_neck(style, judge, score, share * NECK_STEP)
+        style = with_neck(judge, style, shown)
+        score = judge(style)
         for name, step in steps.items():
             for sign in (1.0, -1.0):
                 value = max(getattr(style, name) + sign * share * step, 0.0)
@@ -190,17 +218,6 @@ def refined(style: Family, judge: Judge) -> tuple[Family, Judge]:
                     break
         score, style = refined_lengths(judge, style, score)
     return style, judge
-
-
-def _refined_neck(style: Family, judge: Judge, score: float, step: float) -> tuple[float, Family]:
-    for name in ("neck_width", "neck_depth"):
-        for sign in (1.0, -1.0):
-            tried = replace(style, **{name: max(getattr(style, name) + sign * step, 0.0)})
-            found = judge(tried)
-            if found < score:
-                score, style = found, tried
-                break
-    return score, style
 
 
 def made(choice: Choice, figure: Figure) -> Garment:

@@ -40,7 +40,7 @@ def hurry(put=setattr) -> None:
     put(template, "KINDS", {"upper": ("tshirt",), "lower": ("shorts",)})
     put(template, "EASES", {"tshirt": ({},), "shorts": ({},)})
     put(template, "STYLES", 12)
-    put(template, "refined", lambda style, judge: (style, judge))
+    put(template, "refined", lambda style, judge, _: (style, judge))
     put(
         template,
         "made",

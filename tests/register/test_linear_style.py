@@ -8,6 +8,8 @@ from dressed_scans import GARMENTS, Subject, look
 
 from caphy.body.bundled import default_body
 from caphy.errors import CaphyError
+from caphy.garment.families import Tshirt, default_rise, make
+from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register.articulation import Figure
 from caphy.register.chamfer import Target
@@ -44,6 +46,21 @@ def test_coefficients_of_a_basis_come_back(basis):
     garment = linear_garment(style, choice, figure, "lower")
     np.testing.assert_allclose(garment.vertices, style.vertices(choice.coefficients))
     assert garment.attached.max() == 1.0
+
+
+def test_a_waistband_under_a_long_shirt_is_where_it_usually_is():
+    """Of a basis that only knows how high the waistband is; hidden cloth lies far from what is seen of it."""
+    body, trousers = default_body(), Garment.load(GARMENTS / "trousers.npz")
+    marks = Landmarks.of(body)
+    above = np.clip((trousers.vertices[:, 1] - marks.crotch) / default_rise(marks), 0, None)
+    higher = 0.1 * above[:, None] * [0, 1, 0]
+    style = LinearStyle("rise", trousers.vertices, higher[None], np.ones(1), trousers.faces)
+    shirt = make(Tshirt(length=marks.joint("neck")[1] - marks.crotch + 0.05, layer_thickness=0.013), body)
+    person, place = Subject(body, np.zeros(10), np.zeros_like(body.v_template), [shirt, trousers]), plain_poses()[1]
+    sight, figure = look(person, place.pose, place.transl, 0, 12000), Figure.of(body)
+    cloud = Cloud("scan", sight.points, sight.normals, sight.labels)
+    choice = choose_linear(style, figure, [Target.of(cloud, figure.placed(place), "lower")], count=60)
+    assert abs(choice.coefficients[0]) < 0.15  # 1.5 cm of rise
 
 
 def test_a_damaged_basis_says_what_it_needs(basis, tmp_path):

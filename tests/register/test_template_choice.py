@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -10,16 +11,17 @@ from dressed_scans import GARMENTS, Subject, look
 
 from caphy.body.bundled import default_body
 from caphy.errors import CaphyError
-from caphy.garment.families import FAMILIES, Trousers, default_rise
+from caphy.garment.families import FAMILIES, Skirt, Trousers, Tshirt, default_rise, make
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register import template
 from caphy.register.articulation import Figure, PlacedFigure
+from caphy.register.borders import Borders
 from caphy.register.chamfer import Target
 from caphy.register.cloud import Cloud
 from caphy.register.fit import quiet
 from caphy.register.starts import plain_poses
-from caphy.register.styles import EASES, KINDS, Sheet, longest, ranges, styles_of
+from caphy.register.styles import BELOW, EASES, KINDS, Sheet, cuttable, longest, ranges, styles_of
 
 CHOSEN_FROM = {"upper": ("tshirt", "tank"), "lower": ("trousers", "shorts")}
 """Families of this test; all six take a minute."""
@@ -109,6 +111,22 @@ def test_a_waistband_that_is_seen_is_where_it_is_seen():
     assert choice.style.rise == pytest.approx(waist, abs=0.015)
 
 
+def test_a_neckline_is_no_matter_of_luck(monkeypatch):
+    """Styles draw lengths and necklines together, and lengths weigh far more."""
+    monkeypatch.setattr(template, "KINDS", {"upper": ("tshirt",)})
+    monkeypatch.setattr(template, "EASES", {"tshirt": EASES["tshirt"][:1]})
+    monkeypatch.setattr(template, "EASE_STEPS", {})
+    monkeypatch.setattr(template, "STYLES", 42)
+    deep = make(Tshirt(neck_width=0.015, neck_depth=0.05), default_body())
+    cloud, placed = a_pose([deep, bundled()[1]])
+    target = Target.of(cloud, placed, "upper")
+    styles = [template.choose(placed.figure, [target], "upper", quiet, seed).style for seed in range(3)]
+    for name, true in (("neck_width", 0.015), ("neck_depth", 0.05)):
+        told = [getattr(style, name) for style in styles]
+        assert told == pytest.approx([true] * 3, abs=0.015)
+        assert np.ptp(told) <= 0.01
+
+
 def test_a_sheet_trims_as_the_cut_itself_does():
     """A style's points are the longest garment's that lie inside the openings of the style's own cut."""
     marks = Landmarks.of(default_body())
@@ -119,6 +137,16 @@ def test_a_sheet_trims_as_the_cut_itself_does():
     assert 500 < kept.sum() < len(kept)
     assert not (kept & ~np.all(inside, axis=0)).any()
     assert (np.all(inside, axis=0) & ~kept).sum() < 0.02 * kept.sum()  # what is not part of the garment's piece
+
+
+def test_a_sheet_knows_other_necklines():
+    marks = Landmarks.of(default_body())
+    sheet = Sheet.of(longest("tshirt", {}, marks), marks)
+    deep = replace(sheet.longest, neck_width=0.04, neck_depth=0.1)
+    inside = np.all([value(sheet.points) > 0 for value in deep.cut(marks).openings.values()], axis=0)
+    kept, usual = sheet.kept(deep), sheet.kept(sheet.longest)
+    assert not (kept & ~inside).any() and (inside & ~kept).sum() < 0.02 * kept.sum()
+    assert (usual & ~kept).sum() > 50
 
 
 def test_every_family_has_styles_that_can_be_cut():
@@ -136,6 +164,31 @@ def test_every_family_has_styles_that_can_be_cut():
             assert low < values[0] < low + (high - low) / 6 and high - (high - low) / 6 < values[-1] < high
         for style in (whole, styles[0]):
             style.cut(marks)  # raises where a length does not fit the body
+
+
+class Scored:
+    """A judge that likes skirts short and high: both lengths are taken to the ends of their ranges."""
+
+    def __init__(self, sheet: Sheet):
+        self.sheet = sheet
+
+    def __call__(self, style: Skirt) -> float:
+        return style.length - style.rise
+
+
+def test_short_skirts_with_high_waists_can_be_cut():
+    """Lengths range from 30 cm and rises to 29, and a skirt needs 5 cm below the crotch."""
+    marks = Landmarks.of(default_body())
+    sheet = Sheet(longest("skirt", {}, marks), *(np.zeros((0, 3)) for _ in range(5)), marks)
+    for corner in product(*ranges("skirt", marks).values()):
+        style = Skirt(**dict(zip(ranges("skirt", marks), corner, strict=True)))
+        cut = cuttable(style)
+        cut.cut(marks)  # raises where a length does not fit the body
+        assert cut.rise == style.rise and cut.length in (style.length, style.rise + BELOW)
+        template.refined_lengths(Scored(sheet), style, np.inf)[1].cut(marks)
+        template.Judge(sheet, [], Borders(hem=marks.crotch)).ended(style).cut(marks)
+    drawn = list(styles_of(sheet, 1000, np.random.default_rng(0)))
+    min(drawn, key=lambda style: style.length - style.rise).cut(marks)
 
 
 def test_a_scan_without_the_garment_says_so(scene):
