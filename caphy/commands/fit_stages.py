@@ -255,7 +255,9 @@ def _collide(plan: Plan) -> None:
 
 def final(run: Path) -> list[Path]:
     """The folders of the networks that the avatar is made of, innermost garment first: the last that there are."""
-    return networks_of(run, ("collided", "fabric", "train"))
+    from caphy.evaluate.rows import LAST
+
+    return networks_of(run, LAST)
 
 
 def networks_of(run: Path, stages: Sequence[str]) -> list[Path]:

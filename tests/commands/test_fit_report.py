@@ -16,15 +16,16 @@ def _row(name: str, clothes: float, upper: float, lower: float, look: float) -> 
 
 
 def test_a_garment_that_got_worse_is_told_though_all_together_got_better():
-    template, ours = _row("skinned template", 23.24, 9.0, 29.88, 0.341), _row("ours", 18.82, 18.42, 20.22, 0.382)
-    (said,) = _no_gain({"rows": [template, ours]})
+    template, avatar = _row("skinned template", 23.24, 9.0, 29.88, 0.341), _row("avatar", 18.82, 18.42, 20.22, 0.382)
+    ours = _row("ours", 8.0, 8.0, 8.0, 0.1)  # as papertable trained it: the avatar wears other networks
+    (said,) = _no_gain({"rows": [template, ours, avatar]})
     assert "the upper garment lies 18.42 mm from the scans' (template 9.00)" in said and "lower" not in said
     assert "pictures differ by 0.382 (template 0.341)" in said
 
 
 def test_nothing_is_told_of_what_got_better():
-    template, ours = _row("skinned template", 23.24, 9.0, 29.88, 0.341), _row("ours", 18.82, 8.42, 20.22, 0.3)
-    assert _no_gain({"rows": [template, ours]}) == [] == _no_gain({"rows": [template]}) == _no_gain({})
+    template, avatar = _row("skinned template", 23.24, 9.0, 29.88, 0.341), _row("avatar", 18.82, 8.42, 20.22, 0.3)
+    assert _no_gain({"rows": [template, avatar]}) == [] == _no_gain({"rows": [template]}) == _no_gain({})
 
 
 def _plan(folder: Path) -> Plan:
