@@ -12,9 +12,11 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.evaluate.classes import like_and_unlike, pose_distances
 from caphy.evaluate.dressed import Dressed, Subject, Wearing
+from caphy.evaluate.learnt_from import require_same_scans
 from caphy.evaluate.perceptual import Perceptual
 from caphy.evaluate.rows import PAPER, TEMPLATE, Row
 from caphy.evaluate.score import HeldOut
+from caphy.kept import digest
 from caphy.register.points import ScanPoints, read_points
 from caphy.scan.scan_set import ScanSet
 
@@ -121,7 +123,7 @@ def evaluate(
         tuple(rows), {n: classes[n] for n in names}, dict(zip(names, np.degrees(distances).tolist(), strict=True)),
         len(trained), look,
     )  # fmt: skip
-    worn = _read_rows(subject, rows, result)
+    worn = _read_rows(subject, rows, digest(trained), result)
     for number, points in enumerate(held_out):
         if progress is not None:
             progress("held-out scans", number, len(held_out))
@@ -140,15 +142,18 @@ def _distances(held_out: Sequence[ScanPoints], trained: Sequence[ScanPoints]) ->
     return pose_distances(poses, others).min(axis=1)
 
 
-def _read_rows(subject: Subject, rows: Sequence[Row], result: Evaluation) -> dict[str, dict[str, Wearing]]:
+def _read_rows(subject: Subject, rows: Sequence[Row], scans: str, result: Evaluation) -> dict[str, dict[str, Wearing]]:
+    """Row -> seed folder -> its networks, of those that learnt from no scans but the ones with this digest."""
     worn: dict[str, dict[str, Wearing]] = {}
     for row in rows:
         if row.name == TEMPLATE:
             worn[row.name] = {TEMPLATE: subject.template()}
         for folder in row.folders:
             try:
-                worn.setdefault(row.name, {})[str(folder)] = subject.wearing(folder)
-            except CaphyError as error:  # a seed that is not whole; the row goes on with the others
+                wearing = subject.wearing(folder)
+                require_same_scans(folder, tuple(subject.garments), scans)
+                worn.setdefault(row.name, {})[str(folder)] = wearing
+            except CaphyError as error:  # a seed that is not whole, or knows too much; the row goes on with the others
                 result.left_out[row.name] = str(error)
     return {name: seeds for name, seeds in worn.items() if seeds}
 
