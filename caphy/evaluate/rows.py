@@ -50,7 +50,7 @@ def _places(run: Path) -> dict[str, tuple[str, ...]]:
 
     What was trained last counts as ours only if a number of the fabric had been found before.
     """
-    optimised, last = _found_a_fabric(run), ("collided", "fabric")
+    optimised, last = fabrics_found(run), ("collided", "fabric")
     return {
         DATA_ONLY: ("rows/data_only",),
         SNUG: ("rows/snug",),
@@ -60,14 +60,14 @@ def _places(run: Path) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _found_a_fabric(run: Path) -> bool:
-    """Whether 'caphy fabric' determined a table of any garment; else it kept the one that training began with."""
+def fabrics_found(run: Path) -> list[str]:
+    """The garments of which 'caphy fabric' determined a table; of others it kept those that training began with."""
     try:
         garments = json.loads((run / "fabric.json").read_text(encoding="utf-8"))["garments"]
-        tables = [table for garment in garments.values() for table in garment["stiffness"].values()]
-        return any(table["interval"] is not None for table in tables)
+        tables = {kind: garment["stiffness"].values() for kind, garment in garments.items()}
+        return [kind for kind, each in tables.items() if any(table["interval"] is not None for table in each)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return False
+        return []
 
 
 def seed_folders(folder: Path) -> tuple[Path, ...]:
