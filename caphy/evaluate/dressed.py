@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -101,6 +101,10 @@ class Wearing:
 
     subject: Subject
     networks: Mapping[str, GarmentNetwork]
+
+    def only(self, kinds: Sequence[str]) -> Wearing:
+        """The same without the other garments."""
+        return replace(self, networks={kind: self.networks[kind] for kind in kinds})
 
     def held(self, pose: np.ndarray, transl: np.ndarray) -> Dressed:
         """The subject in a pose (55, 3) [rad] at ``transl`` (3,) [m] that is held until the cloth has settled."""

@@ -95,11 +95,23 @@ def test_the_table_says_what_is_there_and_what_is_not(evaluation):
 
 def test_scans_that_could_not_be_evaluated_are_not_counted(evaluation):
     evaluation.classes["c"], evaluation.distances["c"] = "running", 45.0
-    evaluation.left_out["c"] = "shows nothing"
+    evaluation.unused["c"] = "shows nothing"
     document = evaluation.document()
     assert sorted(document["scans"]) == ["a", "b"]
     text = "\n".join(table_lines(document))
     assert "scans held out: 2" in text and "running (1; 15 degrees)" in text and "  c: shows nothing" in text
+
+
+def test_a_row_that_lacks_a_scan_says_how_many_its_means_are_of(evaluation):
+    del evaluation.scores["ours"]["seed_2"]["b"]
+    evaluation.failed["ours"] = {"seed_2: not finite": ["b"]}
+    assert evaluation.figures("ours")["clothes_chamfer_mm"]["mean"] == 5.0  # of both seeds on the scan that both have
+    lines = table_lines(evaluation.document())
+    assert [line.split() for line in lines if line.startswith(("skinned", "ours "))][:2] == [
+        ["skinned", "template", "2", "15.00"],
+        ["ours", "2", "1", "5.00", "±", "1.41"],
+    ]
+    assert "  ours, in part: seed_2: not finite (b)" in lines
 
 
 def _networks(folder):
