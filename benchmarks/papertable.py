@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
+from caphy.evaluate.rows import fabrics_found
+
 KINDS = ("lower", "upper")
 
 
@@ -47,9 +49,10 @@ def main() -> int:
     parser.add_argument("--fabric", default="gray-interlock", help="the measured fabric the run started from")
     parser.add_argument("--rows", nargs="*", choices=[recipe.folder for recipe in RECIPES], help="only these")
     given = parser.parse_args()
-    worn = [kind for kind in KINDS if (given.run / f"{kind}.npz").is_file()]
     recipes = [recipe for recipe in RECIPES if not given.rows or recipe.folder in given.rows]
-    jobs = [(recipe, seed, kind) for seed in range(1, given.seeds + 1) for recipe in recipes for kind in worn]
+    jobs = [
+        (recipe, seed, kind) for seed in range(1, given.seeds + 1) for recipe in recipes for kind in _worn(given.run)
+    ]
     failed, started = [], monotonic()
     for number, (recipe, seed, kind) in enumerate(jobs):
         left = (monotonic() - started) / max(number, 1) * (len(jobs) - number) / 60
@@ -59,6 +62,10 @@ def main() -> int:
     if failed:
         print("not trained: " + "; ".join(failed), file=sys.stderr)
     return _caphy("evaluate", given.run / "scans", "-o", given.run, "--labels", given.run / "labels")
+
+
+def _worn(run: Path) -> list[str]:
+    return [kind for kind in KINDS if (run / f"{kind}.npz").is_file()]
 
 
 def _trained(given: argparse.Namespace, recipe: Recipe, seed: int, kind: str) -> bool:
@@ -82,11 +89,12 @@ def _trained(given: argparse.Namespace, recipe: Recipe, seed: int, kind: str) ->
     if recipe.physics == "fabric":
         words += ["--fabric", given.fabric]
     elif recipe.physics == "optimised":
-        model = run / f"fabric_{kind}.json"
-        if not model.is_file():
-            print(f"{model}: the run's fabric was not optimised, so this row cannot be trained", file=sys.stderr)
+        unknown = [one for one in _worn(run) if one not in fabrics_found(run)]
+        if unknown:  # an earlier fit may have left the models of garments of which this one found nothing
+            told = f"{run / 'fabric.json'}: tells no fabric of the {' and '.join(unknown)} garment"
+            print(f"{told}, so this row cannot be trained; fit it with 'caphy fabric {run}'", file=sys.stderr)
             return False
-        words += ["--model", model]
+        words += ["--model", run / f"fabric_{kind}.json"]
     if (folder / "checkpoint.safetensors").is_file():
         words += ["--resume"]
     return _caphy("train", *words) == 0

@@ -16,6 +16,8 @@ from caphy.effects.sources import sources
 from caphy.errors import CaphyError
 from caphy.garment.template import read_npz, write_npz
 
+PACKAGE = Path(caphy.__file__).parent
+
 
 class Kept:
     """A folder of arrays, each file named by a digest of all that they follow from; without one nothing is kept."""
@@ -54,8 +56,10 @@ class Kept:
 
 @cache
 def own_code() -> str:
-    """A digest of caphy's code, as it is when this process first asks."""
-    return digest([file.read_bytes() for file in sorted(Path(caphy.__file__).parent.rglob("*.py"))])
+    """A digest of caphy's code and of the data that come with it (bodies, garments, fabrics, the default avatar), as
+    they are when this process first asks."""
+    files = [file for file in (*PACKAGE.rglob("*.py"), *(PACKAGE / "data").rglob("*")) if file.is_file()]
+    return digest([file.read_bytes() for file in sorted(files)])
 
 
 def code(effect_files: Sequence[Path]) -> list[bytes]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.evaluate.learnt_from import CONTENTS, OPTIONS, SCANS_DIGEST
 from caphy.io.places import write_text
 
 if TYPE_CHECKING:
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
     from caphy.io.poses import PoseSequence
     from caphy.training.initial import Initial
 
-OPTIONS = "options.json"
-"""What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
-
-GARMENT, MODEL, RECORD, CONTENTS = "garment.npz", "model.json", "run.json", "contents"
+GARMENT, MODEL, RECORD = "garment.npz", "model.json", "run.json"
 
 
 def option(kind: Any, value: Any, folder: Path) -> Any:
@@ -136,7 +134,8 @@ def write_record(
     """Put beside the network what the export needs, and what a reader wants to know of its making."""
     garment.save(options.output / GARMENT)
     write_text(options.output / MODEL, model.to_json() + "\n")
-    write_text(options.output / OPTIONS, json.dumps({**told(options), CONTENTS: contents(options, trained)}, indent=2))
+    read = contents(options, trained)
+    write_text(options.output / OPTIONS, json.dumps({**told(options), CONTENTS: read}, indent=2))
     record = {
         "format": "caphy-run-1",
         "fps": fps,
@@ -150,6 +149,7 @@ def write_record(
         "trained_on": [Path(clip.source).name for clip in trained],
         "held_out": [Path(clip.source).name for clip in held_out],
         "scans": None if options.scans is None else options.scans.resolve().name,
+        SCANS_DIGEST: read.get("scans"),
         "lambda_3d": options.lambda_3d,
         "physics": options.physics,
         "held_out_paths": [clip.source for clip in held_out],

@@ -59,13 +59,13 @@ def _used(run: Path) -> list[str]:
 def _sentences(run: Path, evaluation: Mapping[str, Any], garments: Mapping[str, Any]) -> list[str]:
     worn = " and ".join(found["garment"] for found in garments.values())
     lines = [f"{len(_used(run))} of {read(run, CHECKED)['scans']} scans became an avatar that wears {worn}."]
-    best, template = _best(evaluation), _row(evaluation, "skinned template")
-    if best is not None and template is not None:
+    avatar, template = _row(evaluation, "avatar"), _row(evaluation, "skinned template")
+    if avatar is not None and template is not None:
         count = len(evaluation["scans"])
         lines.append(
             f"On {count} {'scan' if count == 1 else 'scans'} that nothing was trained on (but the body's shape is of "
-            f"all scans), clothes of “{best['name']}” lie {_chamfer(best):.2f} mm from the scan's, "
-            f"those of the skinned template {_chamfer(template):.2f} mm."
+            f"all scans), the avatar's clothes lie {_chamfer(avatar):.2f} mm from the scan's, those of the skinned "
+            f"template {_chamfer(template):.2f} mm."
         )
     return lines
 
@@ -90,10 +90,10 @@ def _cautions(run: Path, evaluation: Mapping[str, Any], reasons: Mapping[str, st
 
 def _no_gain(evaluation: Mapping[str, Any]) -> list[str]:
     """Where the avatar is farther from the scans than the template that it was trained from."""
-    best, template = _best(evaluation), _row(evaluation, "skinned template")
-    if best is None or template is None:
+    avatar, template = _row(evaluation, "avatar"), _row(evaluation, "skinned template")
+    if avatar is None or template is None:
         return []
-    ours, given = ({name: each["mean"] for name, each in row["all"].items()} for row in (best, template))
+    ours, given = ({name: each["mean"] for name, each in row["all"].items()} for row in (avatar, template))
     worse = [
         f"the {name.removesuffix('_chamfer_mm')} garment lies {ours[name]:.2f} mm from the scans' "
         f"(template {given[name]:.2f})"
@@ -108,7 +108,7 @@ def _no_gain(evaluation: Mapping[str, Any]) -> list[str]:
 
 def _figures(run: Path, evaluation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     shown = []
-    for row in (_best(evaluation), _row(evaluation, "skinned template")):
+    for row in (_row(evaluation, "avatar"), _row(evaluation, "skinned template")):
         if row is not None:
             shown.append((f"held out: {row['name']}", f"{_chamfer(row):.2f}", "mm"))
     skin = [scan["skin_mean"] for scan in read(run, "body.json").get("scans", {}).values()]
@@ -121,12 +121,6 @@ def _figures(run: Path, evaluation: Mapping[str, Any]) -> list[tuple[str, str, s
 
 def _row(evaluation: Mapping[str, Any], name: str) -> Mapping[str, Any] | None:
     return next((row for row in evaluation.get("rows", []) if row["name"] == name and row["all"]), None)
-
-
-def _best(evaluation: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """The row of the avatar: the last of ours that is there."""
-    found = (_row(evaluation, name) for name in ("ours", "ours without optimised physics"))
-    return next((row for row in found if row is not None), None)
 
 
 def _chamfer(row: Mapping[str, Any]) -> float:

@@ -98,7 +98,7 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
         ),
         Stage(
             "fabric", "fitting the fabric to the scans", lambda: _fabric(plan),
-            inputs=(*subject, run / "train"), outputs=(run / FABRIC,),
+            inputs=(*subject, run / "train"), outputs=(run / FABRIC,), whole=lambda: _has_models(run),
             options={"fabric": plan.fabric, "rounds": plan.fabric_rounds, "scans": plan.fabric_scans},
             seconds=30 + min(count, plan.fabric_scans) * (50 + 10 * plan.fabric_rounds), may_fail=True,
         ),
@@ -224,7 +224,14 @@ def _train_one(plan: Plan, kind: str, folder: Path, share: float, physics: Seque
     _command("train", *where, *physics, *options, *resume, processes=plan.processes)
 
 
+def _has_models(run: Path) -> bool:
+    """Whether the models of all fabrics that were fitted are there."""
+    return all((run / fitted["model_file"]).is_file() for fitted in read(run, FABRIC).get("garments", {}).values())
+
+
 def _fabric(plan: Plan) -> None:
+    for kind in ("upper", "lower"):  # of an earlier fit, which may have fitted what this one cannot
+        (plan.run / f"fabric_{kind}.json").unlink(missing_ok=True)
     try:
         budget = ["--rounds", str(plan.fabric_rounds), "--scans", str(plan.fabric_scans)]
         _command("fabric", plan.run, "--fabric", plan.fabric, *budget)
@@ -255,7 +262,9 @@ def _collide(plan: Plan) -> None:
 
 def final(run: Path) -> list[Path]:
     """The folders of the networks that the avatar is made of, innermost garment first: the last that there are."""
-    return networks_of(run, ("collided", "fabric", "train"))
+    from caphy.evaluate.rows import LAST
+
+    return networks_of(run, LAST)
 
 
 def networks_of(run: Path, stages: Sequence[str]) -> list[Path]:

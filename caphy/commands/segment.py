@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
+from caphy.commands.made_labels import MadeLabels
 from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
@@ -23,7 +24,10 @@ LEARNED_FROM = 10
 
 @dataclass(frozen=True)
 class Segment:
-    """Label the vertices of scans as body, upper or lower garment. Resumes: scans that have labels are passed over."""
+    """Label the vertices of scans as body, upper or lower garment.
+
+    Resumes: labels that it made of the same scan by the same parser are kept, and those that it did not make, or that
+    were edited since, are left alone."""
 
     scans: Annotated[Path, tyro.conf.Positional]
     """Folder with a scans.toml."""
@@ -55,7 +59,7 @@ def label(command: Segment) -> dict[str, str]:
     by_itself = out.resolve() == (scans.labels or command.scans / "labels").resolve()
     _require_apart(command, scans, out, by_itself)
     method = _method(command, scans)
-    failed = _segment_all(scans, out, method)
+    failed = _segment_all(scans, MadeLabels(out, command.parser, command.layout), method, command.parser == "labels")
     done = len(scans) - len(failed)
     print(f"{out}: labels of {done} of {len(scans)} scans")
     if not by_itself:
@@ -78,25 +82,40 @@ def _require_apart(command: Segment, scans: ScanSet, out: Path, by_itself: bool)
         )
 
 
-def _segment_all(scans: ScanSet, out: Path, method: Callable[[Scan], np.ndarray]) -> dict[str, str]:
-    """Label every scan that has no labels yet; the names of those that failed, and why."""
-    from caphy.scan.scan_set import write_labels
+def _segment_all(
+    scans: ScanSet, made: MadeLabels, method: Callable[[Scan], np.ndarray], of_labels: bool
+) -> dict[str, str]:
+    """Label every scan whose labels are not made of it by this method yet; the names of those that failed, and why.
 
+    of_labels: whether the method works on the scans' own labels. If not they are not read, for they may be those of
+    another mesh that a scan was before.
+    """
+    scans = scans if of_labels else replace(scans, labels=None)
     failed: dict[str, str] = {}
+    foreign: list[str] = []
     started, fresh = monotonic(), 0
     for index, name in enumerate(scans.names):
-        path = out / f"{name}.npy"
-        if path.is_file():
-            continue
         try:
-            write_labels(path, method(scans[index]))
+            if made.foreign(name):
+                foreign.append(name)
+                continue
+            scan = scans[index]
+            if made.up_to_date(scan):
+                continue
+            made.write(scan, method(scan))
         except CaphyError as error:
+            made.remove(name)  # of another parser or another scan: nobody may use them beside the others
             print(f"left out {name}: {error}", flush=True)
             failed[name] = str(error)
             continue
         fresh += 1
         left = (monotonic() - started) / fresh * (len(scans) - index - 1)
         print(f"{name}: {index + 1} of {len(scans)}; about {left / 60:.1f} min left", flush=True)
+    if foreign:
+        print(
+            f"{made.folder}: labels of {len(foreign)} scans were kept, for 'caphy segment' did not make them, or they "
+            f"were edited since ({', '.join(foreign)}); remove them to have them made"
+        )
     return failed
 
 

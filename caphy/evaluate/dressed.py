@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +27,8 @@ KINDS: Final = ("upper", "lower")
 NETWORK: Final = "network.safetensors"
 SAME_JOINTS: Final = 1e-3
 """Largest distance between the subject's joints and those a network was trained on [m]."""
+SAME_TEMPLATE: Final = 1e-5
+"""The same of the coordinates of templates [m], which networks keep in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +80,12 @@ class Subject:
         return found
 
     def _require(self, network: GarmentNetwork, kind: str, folder: Path) -> None:
-        if network.template.shape != self.garments[kind].vertices.shape:
+        worn, own = self.garments[kind].vertices, network.template.numpy()
+        if own.shape != worn.shape or not np.allclose(own, worn, rtol=0, atol=SAME_TEMPLATE):
+            apart = f"{len(own)} vertices, not {len(worn)}" if len(own) != len(worn) else "another shape"
             raise CaphyError(
-                f"{folder}: its {kind} garment has {len(network.template)} vertices, the subject's "
-                f"{len(self.garments[kind].vertices)}; it was trained on another template"
+                f"{folder}: its {kind} garment was trained on another template than the subject's {kind}.npz, of "
+                f"{apart}; train it on that"
             )
         gap = float(np.abs(network.joints.numpy() - self.body.joints).max())
         if gap > SAME_JOINTS:
@@ -97,6 +101,10 @@ class Wearing:
 
     subject: Subject
     networks: Mapping[str, GarmentNetwork]
+
+    def only(self, kinds: Sequence[str]) -> Wearing:
+        """The same without the other garments."""
+        return replace(self, networks={kind: self.networks[kind] for kind in kinds})
 
     def held(self, pose: np.ndarray, transl: np.ndarray) -> Dressed:
         """The subject in a pose (55, 3) [rad] at ``transl`` (3,) [m] that is held until the cloth has settled."""

@@ -12,9 +12,11 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.evaluate.classes import like_and_unlike, pose_distances
 from caphy.evaluate.dressed import Dressed, Subject, Wearing
+from caphy.evaluate.learnt_from import require_same_scans
 from caphy.evaluate.perceptual import Perceptual
 from caphy.evaluate.rows import PAPER, TEMPLATE, Row
 from caphy.evaluate.score import HeldOut
+from caphy.kept import digest
 from caphy.register.points import ScanPoints, read_points
 from caphy.scan.scan_set import ScanSet
 
@@ -34,7 +36,8 @@ class Evaluation:
     """What :func:`evaluate` found.
 
     rows: those asked for. scores: row -> seed folder -> scan -> figures. classes: class of each scan.
-    distances: how far each scan's pose lies from the nearest trained one [degrees]. left_out: scan or row -> why.
+    distances: how far each scan's pose lies from the nearest trained one [degrees]. unused: scan, or one of its
+    garments, -> why. failed: row -> why -> scans that it could not be held against for that, or none for all.
     """
 
     rows: tuple[Row, ...]
@@ -43,21 +46,38 @@ class Evaluation:
     trained_on: int
     look: Perceptual | None
     scores: dict[str, dict[str, dict[str, dict[str, float]]]] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
+    unused: dict[str, str] = field(default_factory=dict)
+    failed: dict[str, dict[str, list[str]]] = field(default_factory=dict)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Scan or row -> why it does not count, or not in everything."""
+        rows = {
+            row: "; ".join(f"{why} ({', '.join(scans)})" if scans else why for why, scans in reasons.items())
+            for row, reasons in self.failed.items()
+        }
+        return self.unused | rows
 
     def figures(self, row: str, name: str | None = None) -> dict[str, dict[str, float]]:
         """Mean of each figure of a row over scans (of one class if named) and seeds, and the spread of seeds.
 
-        The spread is the standard deviation between seeds, each the mean over scans; 0 for a single seed.
+        Over those scans that every seed was held against and that have the figure. The spread is the standard deviation
+        between seeds, each the mean over scans; 0 for a single seed.
         """
-        seeds = []
-        for scans in self.scores.get(row, {}).values():
-            chosen = [figures for scan, figures in scans.items() if name is None or self.classes[scan] == name]
-            if chosen:
-                seeds.append({key: float(np.mean([figures[key] for figures in chosen])) for key in chosen[0]})
-        if not seeds:
-            return {}
-        means = {key: np.array([seed[key] for seed in seeds]) for key in seeds[0]}
+        seeds = list(self.scores.get(row, {}).values())
+        scans = [
+            scan
+            for scan, own in self.classes.items()
+            if seeds and all(scan in seed for seed in seeds) and (name is None or own == name)
+        ]
+        having: dict[str, list[str]] = {}
+        for scan in scans:
+            for key in seeds[0][scan]:
+                having.setdefault(key, []).append(scan)
+        means = {
+            key: np.array([np.mean([seed[scan][key] for scan in chosen]) for seed in seeds])
+            for key, chosen in having.items()
+        }
         return {
             key: {"mean": float(value.mean()), "spread": float(value.std(ddof=1)) if len(value) > 1 else 0.0}
             for key, value in means.items()
@@ -121,15 +141,20 @@ def evaluate(
         tuple(rows), {n: classes[n] for n in names}, dict(zip(names, np.degrees(distances).tolist(), strict=True)),
         len(trained), look,
     )  # fmt: skip
-    worn = _read_rows(subject, rows, result)
+    worn = _read_rows(subject, rows, digest(trained), result)
     for number, points in enumerate(held_out):
         if progress is not None:
             progress("held-out scans", number, len(held_out))
         try:
             held = HeldOut(_scan(scans, points.name), points, tuple(subject.garments))
-            _evaluate_scan(held, worn, look, result, show)
+            shown = held.shown
         except CaphyError as error:
-            result.left_out[points.name] = str(error)
+            result.unused[points.name] = str(error)
+            continue
+        result.unused |= {f"{points.name}, {kind}": why for kind, why in held.unshown.items()}
+        first = _evaluate_scan(held, shown, worn, look, result)
+        if show is not None and first:
+            show(held, first)
     if not result.scores:
         raise CaphyError("nothing could be evaluated:\n" + "\n".join(result.left_out.values()))
     return result
@@ -140,16 +165,19 @@ def _distances(held_out: Sequence[ScanPoints], trained: Sequence[ScanPoints]) ->
     return pose_distances(poses, others).min(axis=1)
 
 
-def _read_rows(subject: Subject, rows: Sequence[Row], result: Evaluation) -> dict[str, dict[str, Wearing]]:
+def _read_rows(subject: Subject, rows: Sequence[Row], scans: str, result: Evaluation) -> dict[str, dict[str, Wearing]]:
+    """Row -> seed folder -> its networks, of those that learnt from no scans but the ones with this digest."""
     worn: dict[str, dict[str, Wearing]] = {}
     for row in rows:
         if row.name == TEMPLATE:
             worn[row.name] = {TEMPLATE: subject.template()}
         for folder in row.folders:
             try:
-                worn.setdefault(row.name, {})[str(folder)] = subject.wearing(folder)
-            except CaphyError as error:  # a seed that is not whole; the row goes on with the others
-                result.left_out[row.name] = str(error)
+                wearing = subject.wearing(folder)
+                require_same_scans(folder, tuple(subject.garments), scans)
+                worn.setdefault(row.name, {})[str(folder)] = wearing
+            except CaphyError as error:  # a seed that is not whole, or knows too much; the row goes on with the others
+                result.failed.setdefault(row.name, {})[str(error)] = []
     return {name: seeds for name, seeds in worn.items() if seeds}
 
 
@@ -160,17 +188,26 @@ def _scan(scans: ScanSet, name: str):
 
 
 def _evaluate_scan(
-    held: HeldOut, worn: Mapping[str, Mapping[str, Wearing]], look: Perceptual | None, result: Evaluation,
-    show: Shown | None,
-) -> None:  # fmt: skip
-    """Score one scan; it enters the result with all rows or not at all, so that rows have the same scans."""
-    found, first = {}, {}
+    held: HeldOut, shown: Sequence[str], worn: Mapping[str, Mapping[str, Wearing]], look: Perceptual | None,
+    result: Evaluation,
+) -> dict[str, Dressed]:  # fmt: skip
+    """Score every row and seed on the garments shown in one scan, as far as they can be.
+
+    Returns:
+        What each row's first seed that could makes of it.
+    """
+    first: dict[str, Dressed] = {}
+    done: dict[str, tuple[Dressed, dict[str, float]]] = {}
     for row, seeds in worn.items():
         for seed, wearing in seeds.items():
-            dressed = wearing.held(held.points.pose, held.points.transl)
-            found[row, seed] = held.score(dressed, look)
+            try:
+                if seed not in done:  # the avatar's networks may stand in a row of the paper too
+                    dressed = wearing.only(shown).held(held.points.pose, held.points.transl)
+                    done[seed] = dressed, held.score(dressed, look)
+            except CaphyError as error:
+                result.failed.setdefault(row, {}).setdefault(f"{seed}: {error}", []).append(held.scan.name)
+                continue
+            dressed, figures = done[seed]
+            result.scores.setdefault(row, {}).setdefault(seed, {})[held.scan.name] = figures
             first.setdefault(row, dressed)
-    for (row, seed), figures in found.items():
-        result.scores.setdefault(row, {}).setdefault(seed, {})[held.scan.name] = figures
-    if show is not None:
-        show(held, first)
+    return first

@@ -15,6 +15,10 @@ TEMPLATE: Final = "skinned template"
 """A row that needs no training."""
 DATA_ONLY, SNUG, NO_DATA = "data-only", "SNUG", "ours without real data"
 NO_PHYSICS, OURS = "ours without optimised physics", "ours"
+AVATAR: Final = "avatar"
+"""A row of what the run's avatar is made of, whichever networks the paper's rows hold."""
+LAST: Final = ("collided", "fabric", "train")
+"""Folders of a run's networks, those trained last first: its avatar is made of the first that has all garments."""
 PAPER: Final = {DATA_ONLY: (7.0, 8.2), SNUG: (10.8, 13.3), OURS: (6.76, 7.35)}
 """What CaPhy reports for its two subjects [mm]; other people, other scans, other clothes."""
 
@@ -31,12 +35,14 @@ class Row:
 
 
 def known_rows(run: Path) -> list[Row]:
-    """All rows, in the paper's order; those that were never trained say so."""
+    """All rows, in the paper's order, then the avatar's, if there is one; those never trained say so."""
     rows = [Row(TEMPLATE)]
     for name, places in _places(run).items():
         seeds = next((found for place in places if (found := seed_folders(run / place))), ())
         rows.append(Row(name, seeds, None if seeds else f"not trained (no networks in {' or '.join(places)})"))
-    return rows
+    worn = [kind for kind in KINDS if (run / f"{kind}.npz").is_file()]
+    whole = [run / last for last in LAST if worn and all((run / last / kind / NETWORK).is_file() for kind in worn)]
+    return rows + [Row(AVATAR, (folder,)) for folder in whole[:1]]
 
 
 def _places(run: Path) -> dict[str, tuple[str, ...]]:
@@ -44,7 +50,7 @@ def _places(run: Path) -> dict[str, tuple[str, ...]]:
 
     What was trained last counts as ours only if a number of the fabric had been found before.
     """
-    optimised, last = _found_a_fabric(run), ("collided", "fabric")
+    optimised, last = fabrics_found(run), ("collided", "fabric")
     return {
         DATA_ONLY: ("rows/data_only",),
         SNUG: ("rows/snug",),
@@ -54,14 +60,14 @@ def _places(run: Path) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _found_a_fabric(run: Path) -> bool:
-    """Whether 'caphy fabric' determined a table of any garment; else it kept the one that training began with."""
+def fabrics_found(run: Path) -> list[str]:
+    """The garments of which 'caphy fabric' determined a table; of others it kept those that training began with."""
     try:
         garments = json.loads((run / "fabric.json").read_text(encoding="utf-8"))["garments"]
-        tables = [table for garment in garments.values() for table in garment["stiffness"].values()]
-        return any(table["interval"] is not None for table in tables)
+        tables = {kind: garment["stiffness"].values() for kind, garment in garments.items()}
+        return [kind for kind, each in tables.items() if any(table["interval"] is not None for table in each)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return False
+        return []
 
 
 def seed_folders(folder: Path) -> tuple[Path, ...]:

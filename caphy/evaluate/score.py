@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from caphy.errors import CaphyError
 from caphy.evaluate.chamfer import ScanCloth
 from caphy.evaluate.dressed import Dressed
 from caphy.evaluate.perceptual import Perceptual
@@ -28,9 +29,28 @@ class HeldOut:
     """The subject's garments."""
 
     @cached_property
+    def unshown(self) -> dict[str, str]:
+        """The garments that it does not show, and why it cannot be held against them."""
+        found = {}
+        for kind in self.kinds:
+            try:
+                ScanCloth.of(self.scan, (kind,))
+            except CaphyError as error:
+                found[kind] = str(error)
+        return found
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The garments that it shows; raises CaphyError where these are none."""
+        shown = tuple(kind for kind in self.kinds if kind not in self.unshown)
+        if not shown:
+            raise CaphyError(next(iter(self.unshown.values())))
+        return shown
+
+    @cached_property
     def cloths(self) -> dict[str, tuple[tuple[str, ...], ScanCloth]]:
-        """Name -> the garments meant, and the scan's surface of them: all together, and each."""
-        groups = {ALL: self.kinds} | ({kind: (kind,) for kind in self.kinds} if len(self.kinds) > 1 else {})
+        """Name -> the garments meant, and the scan's surface of them: all that it shows together, and each."""
+        groups = {ALL: self.shown} | ({kind: (kind,) for kind in self.shown} if len(self.kinds) > 1 else {})
         return {name: (kinds, ScanCloth.of(self.scan, kinds)) for name, kinds in groups.items()}
 
     @cached_property
@@ -39,7 +59,7 @@ class HeldOut:
         return [scan_view(self.scan, camera) for camera in cameras(self.scan)]
 
     def score(self, dressed: Dressed, look: Perceptual | None) -> dict[str, float]:
-        """Figures of a prediction, names with units; ``perceptual`` is in the units of ``look``."""
+        """Figures of the garments shown in a prediction, names with units; ``perceptual`` is in those of ``look``."""
         figures: dict[str, float] = {}
         for name, (kinds, cloth) in self.cloths.items():
             found = cloth.chamfer(dressed, kinds)

@@ -30,9 +30,9 @@ def table_lines(document: Mapping[str, Any]) -> list[str]:
     names = {row["name"] for row in rows}
     absent += [f"  {scan}: {why}" for scan, why in document["left_out"].items() if scan not in names]
     absent += [
-        f"  {row['name']}, one seed: {document['left_out'][row['name']]}"
+        f"  {row['name']}, in part: {document['left_out'][row['name']]}"
         for row in rows
-        if _lacks_a_seed(row, document)
+        if row["missing"] is None and row["name"] in document["left_out"]
     ]
     lines += ["", "not evaluated:", *absent] if absent else []
     paper = ", ".join(f"{name} {a:g} / {b:g}" for name, (a, b) in document["paper_mm"].items())
@@ -40,10 +40,15 @@ def table_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def figure_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Headings and cells of the table: a line for each row, a column for each figure that any row has."""
+    """Headings and cells of the table: a line for each row, a column for each figure that any row has.
+
+    Where a row was not held against all scans, a column says against how many, for its means are of those alone.
+    """
     done = [row for row in document["rows"] if row["all"]]
     shown = [column for column in FIGURES if any(column[0] in row["all"] for row in done)]
-    return ["", "seeds", *(heading for _, heading, _ in shown)], [_cells(row, shown) for row in document["rows"]]
+    told = any(_scans(row) < len(document["scans"]) for row in done)
+    heads = ["", "seeds", *(["scans"] if told else []), *(heading for _, heading, _ in shown)]
+    return heads, [_cells(row, shown, told) for row in document["rows"]]
 
 
 def class_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -68,14 +73,17 @@ def cell(figure: Mapping[str, float] | None, seeds: int, decimals: int) -> str:
     return text if seeds < 2 else f"{text} ± {figure['spread']:.{decimals}f}"
 
 
-def _lacks_a_seed(row: Mapping[str, Any], document: Mapping[str, Any]) -> bool:
-    return row["missing"] is None and row["name"] in document["left_out"]
+def _scans(row: Mapping[str, Any]) -> int:
+    """Against how many scans every seed of a row was held."""
+    seeds = [set(scans) for scans in row["scans"].values()]
+    return len(set.intersection(*seeds)) if seeds else 0
 
 
-def _cells(row: Mapping[str, Any], shown: Sequence[tuple[str, str, int]]) -> list[str]:
+def _cells(row: Mapping[str, Any], shown: Sequence[tuple[str, str, int]], with_scans: bool) -> list[str]:
     return [
         row["name"],
         str(row["seeds"]) if row["name"] != "skinned template" else "",
+        *([str(_scans(row))] if with_scans else []),
         *(cell(row["all"].get(key), row["seeds"], decimals) for key, _, decimals in shown),
     ]
 

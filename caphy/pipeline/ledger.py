@@ -24,7 +24,7 @@ class Entry:
     """What it took, from its last start."""
     failure: str | None = None
     code: str = ""
-    """Digest of the code of caphy that finished it."""
+    """Digest of the code of caphy that finished it, and of the data that come with it."""
 
 
 class Ledger:

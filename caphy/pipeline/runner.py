@@ -105,10 +105,12 @@ def _seconds(ledger: Ledger, stage: Stage) -> float:
 
 
 def _by(ledger: Ledger, stage: Stage) -> str:
-    """A remark where other code of caphy did it: what took hours is not thrown away for every line that changes."""
+    """A remark where other code of caphy did it, or the same on other data that come with it, such as the default
+    avatar: what took hours is not thrown away for every line that changes."""
     entry = ledger.entry(stage)
     same = entry is not None and entry.code == own_code()
-    return "" if same else ", by other code of caphy; give another folder for the run to do it by this"
+    by = "by other code of caphy or on other data that come with it"
+    return "" if same else f", {by}; give another folder for the run to do it by these"
 
 
 def _looks_done(ledger: Ledger, stage: Stage) -> bool:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from caphy.errors import CaphyError
 from caphy.evaluate.classes import LIKE, UNLIKE, like_and_unlike, pose_distances, read_classes, unlike_split
 from caphy.evaluate.evaluation import Evaluation
-from caphy.evaluate.rows import NO_PHYSICS, OURS, TEMPLATE, Row, given_row, known_rows
+from caphy.evaluate.rows import AVATAR, NO_PHYSICS, OURS, TEMPLATE, Row, given_row, known_rows
 from caphy.evaluate.table import table_lines
 
 
@@ -95,11 +95,23 @@ def test_the_table_says_what_is_there_and_what_is_not(evaluation):
 
 def test_scans_that_could_not_be_evaluated_are_not_counted(evaluation):
     evaluation.classes["c"], evaluation.distances["c"] = "running", 45.0
-    evaluation.left_out["c"] = "shows nothing"
+    evaluation.unused["c"] = "shows nothing"
     document = evaluation.document()
     assert sorted(document["scans"]) == ["a", "b"]
     text = "\n".join(table_lines(document))
     assert "scans held out: 2" in text and "running (1; 15 degrees)" in text and "  c: shows nothing" in text
+
+
+def test_a_row_that_lacks_a_scan_says_how_many_its_means_are_of(evaluation):
+    del evaluation.scores["ours"]["seed_2"]["b"]
+    evaluation.failed["ours"] = {"seed_2: not finite": ["b"]}
+    assert evaluation.figures("ours")["clothes_chamfer_mm"]["mean"] == 5.0  # of both seeds on the scan that both have
+    lines = table_lines(evaluation.document())
+    assert [line.split() for line in lines if line.startswith(("skinned", "ours "))][:2] == [
+        ["skinned", "template", "2", "15.00"],
+        ["ours", "2", "1", "5.00", "±", "1.41"],
+    ]
+    assert "  ours, in part: seed_2: not finite (b)" in lines
 
 
 def _networks(folder):
@@ -116,6 +128,21 @@ def test_rows_are_found_where_a_run_keeps_them(tmp_path):
     assert [path.name for path in rows["SNUG"].folders] == ["seed_1", "seed_2"]
     assert rows[NO_PHYSICS].folders == (tmp_path / "train",)
     assert rows[OURS].missing is not None and "rows/data_only" in (rows["data-only"].missing or "")
+    assert AVATAR not in rows
+
+
+def test_rows_are_found_where_the_paper_s_are_trained_besides_the_avatar(tmp_path):
+    """Two rows that papertable trains stand before what was trained last, which is still the avatar's."""
+    for name in ("upper.npz", "lower.npz"):
+        (tmp_path / name).write_bytes(b"")
+    for name in ("train", "fabric", "collided", "rows/default_physics/seed_1", "rows/ours/seed_1"):
+        _networks(tmp_path / name)
+    rows = {row.name: row for row in known_rows(tmp_path)}
+    assert rows[NO_PHYSICS].folders == (tmp_path / "rows" / "default_physics" / "seed_1",)
+    assert rows[OURS].folders == (tmp_path / "rows" / "ours" / "seed_1",)
+    assert rows[AVATAR].folders == (tmp_path / "collided",) and list(rows)[-1] == AVATAR
+    (tmp_path / "collided" / "upper" / "network.safetensors").unlink()  # stopped halfway: no avatar is made of it
+    assert {row.name: row for row in known_rows(tmp_path)}[AVATAR].folders == (tmp_path / "fabric",)
 
 
 def test_what_was_fine_tuned_is_ours_only_if_the_fabric_was_optimised(tmp_path):

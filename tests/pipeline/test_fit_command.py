@@ -133,6 +133,7 @@ def test_only_held_out_scans_are_evaluated(finished):
     assert 0 < template["mean_mm"]["mean"] <= template["clothes_chamfer_mm"]["mean"] < 30
     assert rows["SNUG"]["missing"] and not rows["SNUG"]["all"]
     assert rows["ours"]["all"] and rows["ours without optimised physics"]["all"]
+    assert rows["avatar"]["all"] == rows["ours"]["all"] and list(rows["avatar"]["scans"]) == [str(run / "collided")]
     assert (run / "evaluation" / f"{split['held_out'][0]}.png").stat().st_size > 10_000
 
 

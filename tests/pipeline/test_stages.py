@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from caphy import kept
 from caphy.errors import CaphyError
 from caphy.pipeline.runner import Pace, run_stages
 from caphy.pipeline.stage import Stage, fingerprint
@@ -77,6 +79,27 @@ def test_what_other_code_did_is_kept_and_said(work, monkeypatch):
     again, said = work.run()
     assert again.kept == ["letters", "count"] and work.runs == ["letters", "count"]
     assert all(re.search("done before, by other code of caphy.*another folder", line) for line in said)
+
+
+def test_what_was_done_on_other_bundled_data_is_kept_and_said(work, tmp_path, monkeypatch):
+    """Trainings begin as the default avatar, which is no code; here a copy of what comes along takes its place."""
+    package = tmp_path / "caphy"
+    shutil.copytree(kept.PACKAGE / "data" / "avatars", package / "data" / "avatars")
+    monkeypatch.setattr(kept, "PACKAGE", package)
+    try:
+        kept.own_code.cache_clear()
+        work.run()
+        assert not any("other data" in line for line in work.run()[1])
+        graph = package / "data" / "avatars" / "default" / "tshirt.onnx"
+        content = bytearray(graph.read_bytes())
+        content[len(content) // 2] ^= 1
+        graph.write_bytes(content)
+        kept.own_code.cache_clear()  # as in another process
+        again, said = work.run()
+        assert again.kept == ["letters", "count"]
+        assert all(re.search("done before, by other code of caphy or on other data", line) for line in said)
+    finally:
+        kept.own_code.cache_clear()
 
 
 def test_changed_input_is_done_anew_without_what_was_left(work):

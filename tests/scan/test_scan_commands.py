@@ -9,6 +9,8 @@ import pytest
 from small_session import small_session
 
 from caphy.cli import main
+from caphy.scan.mesh_files import MeshFile, write_ply
+from caphy.scan.scan import BODY, LOWER, UPPER
 from caphy.scan.scan_set import ScanSet
 
 
@@ -39,6 +41,36 @@ def test_segment_leaves_out_what_it_cannot_read_and_resumes(scans, tmp_path, cap
     assert main(["segment", str(scans)]) == 0
     assert "labels of 3 of 3 scans" in capsys.readouterr().out
     assert (scans / "labels" / "scan_000.npy").stat().st_mtime_ns == stamp
+
+
+def test_labels_of_another_parser_or_another_scan_are_made_anew_and_those_by_hand_are_kept(scans, tmp_path, capsys):
+    """First by labels that came with the scans, all wrong so that nothing else would make them; then by colours."""
+    out, given = tmp_path / "made", ScanSet.read(scans)
+    (scans / "scan_001.ply").unlink()
+    for index in (0, 2):
+        scan = given[index]
+        labels = np.where(scan.vertices[:, 0] > 0, UPPER, LOWER).astype(np.uint8)
+        write_ply(given.files[index], MeshFile(scan.vertices, scan.faces, scan.colours, labels))
+    paths = [out / f"{name}.npy" for name in ("scan_000", "scan_002")]
+    assert main(["segment", str(scans), "--out", str(out), "--parser", "labels"]) == 0
+    before = [np.load(path) for path in paths]
+    edited = np.where(before[1] == UPPER, BODY, before[1]).astype(np.uint8)
+    np.save(paths[1], edited)
+    capsys.readouterr()
+    assert main(["segment", str(scans), "--out", str(out)]) == 0
+    assert "did not make them, or they were edited since (scan_002); remove them" in capsys.readouterr().out
+    truth = np.load(small_session() / "truth" / "stills" / "scan_000.npz")["labels"]
+    coloured = np.load(paths[0])
+    assert (coloured == truth).mean() > 0.85 > (before[0] == truth).mean()
+    assert (np.load(paths[1]) == edited).all()
+    part = given[2]  # what scan_000 is from now on
+    write_ply(scans / "scan_000.ply", MeshFile(part.vertices, part.faces, part.colours, None))
+    assert main(["segment", str(scans), "--out", str(out)]) == 0
+    assert len(np.load(paths[0])) == len(part.vertices) != len(coloured)
+    np.save(paths[1], edited + 0.5)  # no labels at all
+    assert main(["segment", str(scans), "--out", str(out)]) == 0 and (np.load(paths[1]) == edited + 0.5).all()
+    paths[1].unlink()
+    assert main(["segment", str(scans), "--out", str(out)]) == 0 and paths[1].is_file()
 
 
 def test_check_tells_which_scans_can_be_used(scans, capsys):

@@ -23,7 +23,9 @@ from caphy.effects.model import Model
 from caphy.effects.presets import snug_model
 from caphy.errors import CaphyError
 from caphy.io.poses import write_poses
+from caphy.kept import digest
 from caphy.network.files import load_network
+from caphy.register.points import read_points
 from caphy.training.loop import METRICS, NETWORK
 from caphy.training.onward import onward
 from caphy.training.validate import static_drape
@@ -83,6 +85,7 @@ def test_a_scan_that_lacks_the_garment_is_left_out_and_named(tmp_path, capsys):
 
 def test_what_it_was_trained_on_is_recorded_without_paths_in_the_record(world):
     record = json.loads((world / "with" / "run.json").read_text())
+    assert record["scans_digest"] == digest(read_points(world / "run", "train"))  # 'caphy evaluate' asks for it
     assert record["scans"] == "run" and record["physics"] is True and record["lambda_3d"] is None
     assert str(world) not in json.dumps(
         {key: value for key, value in record.items() if key not in ("body", "held_out_paths")}

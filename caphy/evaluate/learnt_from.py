@@ -1,0 +1,58 @@
+"""Which scans networks have learnt from, as 'caphy train' and 'caphy export' keep it beside them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from caphy.errors import CaphyError
+from caphy.io.bundle import MANIFEST
+
+OPTIONS: Final = "options.json"
+"""What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
+CONTENTS: Final = "contents"
+"""Digests of what those options name by path, in the same file."""
+SCANS_DIGEST: Final = "scans_digest"
+"""The digest of the scans in the record that an avatar carries on."""
+
+
+def require_same_scans(folder: Path, kinds: Sequence[str], digest: str) -> None:
+    """Raise CaphyError where an avatar, or one of the networks ``kinds`` in a folder, learnt from other scans.
+
+    Args:
+        digest: of the scans that the run trains on (:func:`caphy.kept.digest` of their points). Networks that learnt
+            from no scans may be held against any.
+    """
+    folders = [folder] if (folder / MANIFEST).is_file() else [folder / kind for kind in kinds]
+    for told in [each for one in folders for each in _learnt_from(one)]:
+        if told != digest:
+            raise CaphyError(
+                f"{folder}: trained on other scans than split.json names for training now"
+                + ("" if told else ", for all that is kept beside it")
+                + ", so that it may know those held out; train it again"
+            )
+
+
+def _learnt_from(folder: Path) -> Iterator[str]:
+    """A digest of the scans of each training behind an avatar or a network; empty where it was not kept."""
+    if (folder / MANIFEST).is_file():
+        for garment in _json(folder / MANIFEST).get("provenance", {}).get("garments", {}).values():
+            training = garment.get("training", {})
+            if training.get("scans"):
+                yield training.get(SCANS_DIGEST, "")
+        return
+    told = _json(folder / OPTIONS)
+    if told.get("scans"):
+        yield told.get(CONTENTS, {}).get("scans", "")
+    if told.get("init"):  # what it went on from has learnt from scans of its own
+        yield from _learnt_from(Path(os.path.normpath(folder.resolve() / told["init"])))
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except (OSError, ValueError) as error:
+        raise CaphyError(f"{path}: cannot be read as JSON: {error}; train again, or take an earlier copy") from error
