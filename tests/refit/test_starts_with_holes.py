@@ -33,8 +33,9 @@ def holed(measurement: Measurement, share: float) -> Measurement:
 def start(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities (START_MODES, 3) of a start in the smoothest modes."""
     watched = Watched(Scene.of(measurement))
-    state = watched._sharpened(StartStates(watched.scene, watched.scene.potential(MODEL)), FRAME)
-    assert state is not None
+    sharp = watched._sharpened(StartStates(watched.scene, watched.scene.potential(MODEL)), FRAME)
+    assert sharp is not None
+    state = sharp[0]
     every = np.ones(len(state.x), bool)
     found = [watched.projection.of(field.numpy(), every)[:START_MODES] for field in (state.x, state.v)]
     return found[0], found[1]
@@ -84,3 +85,22 @@ def test_holes_are_their_harmonic_continuation(cloth, seen):
     whole = filled(np.where(known[:, None], fields, np.nan), known, sheet) if known.any() else np.zeros((81, 3))
     told = watched.projection.of(np.where(known[:, None], fields, np.nan), known)
     np.testing.assert_allclose(told, watched.projection.of(whole, np.ones(81, bool)), atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", [FRAME - 1, FRAME, FRAME + 1])
+def test_where_cloth_is_jolted_its_velocity_is_known_less(cloth, frame):
+    """The whole cloth is 2 cm aside in one frame: no frames around it tell its velocity there."""
+
+    def doubt(measurement: Measurement) -> np.ndarray:
+        watched = Watched(Scene.of(measurement))
+        sharp = watched._sharpened(StartStates(watched.scene, watched.scene.potential(MODEL)), FRAME)
+        assert sharp is not None
+        return np.asarray(sharp[1][1])
+
+    vertices = cloth.vertices.copy()
+    free = np.setdiff1d(np.arange(vertices.shape[1]), cloth.pinned)
+    vertices[frame, free, 0] += 0.02
+    smooth, jolted = doubt(cloth), doubt(replace(cloth, vertices=vertices))
+    expected = 0.02 * 2 * cloth.fps / 12  # the quartic's weights beyond the two frames' are 1, -2, 0, 2, -1 twelfths
+    assert jolted[0] > 0.9 * expected > 8 * smooth[0]
+    np.testing.assert_allclose(doubt(replace(cloth, vertices=cloth.vertices + 0.02)), smooth, rtol=1e-6)

@@ -105,12 +105,13 @@ def test_more_friction_than_there_is_moves_cloth_as_roll_outs_do(on_ball, few, m
 @pytest.mark.parametrize("number", [2, 6, 31, 62, 63, 101])
 def test_nuisances_are_derivatives_by_the_start(watched, number, monkeypatch):
     here = responded(watched, DAMPED)
-    sharpened, errors = watched._sharpened, watched._start(watched._blur)
+    sharpened = watched._sharpened
 
     def nudged(states, frame):
-        state = sharpened(states, frame)
+        state, blur = sharpened(states, frame)
+        errors = watched._start(blur)
         x, v = (0.01 * field[number - 2] * watched._free for field in (errors.x, errors.v))
-        return replace(state, x=state.x + x, v=state.v + v)
+        return replace(state, x=state.x + x, v=state.v + v), blur
 
     monkeypatch.setattr(watched, "_sharpened", nudged)
     there = responded(watched, DAMPED)
