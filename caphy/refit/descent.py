@@ -85,7 +85,7 @@ def refined(
         if found is not None and fell > -_ROUGH:
             more = fell > max(_STILL_FALLS, _MORE_THAN_PROMISED * best.promise / before)
             longer = min(2 * longer, _LONGEST) if more else 1.0
-            best, step = found, found.longer_step(longer)
+            best, step = found, _no_farther_back(best, found, step, found.longer_step(longer))
             if best.settled and not more:
                 return replace(best, converged=True)
             if best.promise < enough * best.misfit:
@@ -95,6 +95,21 @@ def refined(
         else:
             step = _SHORTER * step
     return best
+
+
+def _no_farther_back(best: Fit, found: Fit, step: np.ndarray, further: np.ndarray) -> np.ndarray:
+    """The further step after one that went too far, no longer than back to where slopes at both its ends say that the
+    misfit is least (regula falsi).
+
+    Where tangents say half of what roll-outs do, steps go to and fro over it for as long as they are let.
+    """
+    last = from_the_end(best.columns, step)
+    before, after = (known.along(way)[0].sum() for known, way in ((best.evidence, step), (found.evidence, last)))
+    if not before < 0 < after:
+        return further
+    normal = found.evidence.normal[0]
+    whole, asked = (np.sqrt(way @ normal @ way) for way in (last, further))
+    return further * min(1.0, after / (after - before) * whole / max(asked, 1e-300))
 
 
 def _falls(best: Fit, found: Fit, step: np.ndarray) -> bool:

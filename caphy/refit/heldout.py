@@ -12,7 +12,7 @@ from caphy.effects.model import Model
 from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
-from caphy.refit.fit import Fit, share_gone
+from caphy.refit.fit import Fit, gone, summed
 from caphy.refit.laws import Way
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response, picked
@@ -36,7 +36,8 @@ class HeldOut:
         before_mm, after_mm: of the model as it was, and as it is.
         floor_mm: what the noise of the measurement alone gives; none if it is not known.
         before, after: median of each window (W,) [mm].
-        share: of the misfit that is gone, as in :func:`share_gone`: finer than medians, which noise dominates.
+        share: of the misfit that is gone, as :func:`caphy.refit.fit.gone` tells it: finer than medians, which noise
+            dominates.
         share_error: its standard error over windows.
         few: what must be exceeded instead, where few windows decide.
     """
@@ -105,18 +106,24 @@ class Apart:
         return Apart(self.study.registered_by(model), self.variance, self.columns, self.learned)
 
     def errors(self, fitted: Fit) -> HeldOut:
-        """Roll out a model before and after a fit."""
+        """Roll out a model before and after a fit.
+
+        What errors of mesh and steps that are told of the fitted model take away counts beside what the change does by
+        slopes, which know nothing of it: what a coarse mesh keeps a stiffness from doing may be more than what it does.
+        """
         every = (*self.columns, *(column for column in fitted.columns if column not in self.columns))
         study, old = self._rolled_out(fitted.origin, every)
-        new = study.respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
+        told_before = study.respond(fitted.model, fitted.columns, "held-out windows")
+        new = study.likewise().respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
         known = picked(old, [every.index(column) for column in fitted.columns])
         before = evidence(known, self.variance)
         before = replace(before, weight=robust_weights(before))
         last = from_the_end(fitted.columns, fitted.change)
-        after = tamed(evidence(new, self.variance, before.weight), before)
-        gone, error = share_gone(before, after, fitted.change, last)
+        after, told = (evidence(each, self.variance, before.weight) for each in (told_before, new))
+        shares = gone(before, tamed(after, before), fitted.change, last)
+        by_telling = before.weight * (after.c - told.c) / max(float((before.weight * before.c).sum()), 1e-300)
         rare = where_few_decide(before, known, self.variance, fitted.change)
-        return self._held_out(old, new, gone, error, rare)
+        return self._held_out(old, new, *summed(shares + by_telling), rare)
 
     def between(self, before: Model, after: Model) -> HeldOut:
         """Roll out two models of which nothing else is known; their misfits are compared as they are."""
@@ -129,14 +136,14 @@ class Apart:
         return self._held_out(old, new, float(fell.sum()) / whole, float(error))
 
     def _held_out(
-        self, old: Sequence[Response], new: Sequence[Response], gone: float, error: float, few: Few | None = None
+        self, old: Sequence[Response], new: Sequence[Response], share: float, error: float, few: Few | None = None
     ) -> HeldOut:
         errors = [[1e3 * response.error for response in each] for each in (old, new)]
         medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
         floors = self.study.floors_mm
         floor = float(np.median(floors)) if floors else None
-        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], gone, error, few)
+        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], share, error, few)
 
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""

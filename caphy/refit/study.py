@@ -153,6 +153,12 @@ class Study:
         other.starts = list(self.starts)
         return other
 
+    def likewise(self) -> Study:
+        """The same windows; what is known of them holds, and what this one is told from now on stays its own."""
+        other = Study(self.scenes, self.length, self.progress, self.crew, self.mesh, self)
+        other.starts, other._expected = list(self.starts), self._expected
+        return other
+
     def some(self, windows: Collection[int]) -> Study:
         """Some of the windows, by their numbers among all; what is known of them holds."""
         other, numbers = copy(self), iter(range(sum(map(len, self.starts))))

@@ -9,11 +9,13 @@ from explicit_cloth import measured, simulate
 
 from caphy.effects.model import Model
 from caphy.measure.scene import Scene
-from caphy.refit.columns import addition
-from caphy.refit.descent import fit
-from caphy.refit.evidence import evidence
+from caphy.refit.columns import addition, extended, moved
+from caphy.refit.descent import fit, tried
+from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.fit import judged
 from caphy.refit.heldout import Apart
 from caphy.refit.learned import Learned
+from caphy.refit.responses import Response
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -36,3 +38,56 @@ def test_a_fit_is_judged_alike_whatever_was_judged_before() -> None:
         np.testing.assert_allclose(together.before, alone.before, rtol=1e-9)
         np.testing.assert_allclose(together.after, alone.after, rtol=1e-9)
         np.testing.assert_allclose([together.share, together.share_error], [alone.share, alone.share_error], rtol=1e-6)
+
+
+class Coarse(Study):
+    """Windows in which a rate moves cloth by half of what it should: the rest is the mesh's error, which is told of
+    some rate. Nothing else is in them but a little noise."""
+
+    RATE = 2.0
+
+    def __init__(self, told: float = 0.0) -> None:
+        self.scenes, self.told = (), told
+        random = np.random.default_rng(0)
+        self.size, self.noise_in = random.normal(0, 1e-3, (12, 4, 6, 3)), random.normal(0, 3e-3, (12, 4, 6, 3))
+
+    def afresh(self) -> Study:
+        return Coarse()
+
+    def likewise(self) -> Study:
+        return Coarse(self.told)
+
+    def correct(self, responses, columns, known):
+        return list(responses)
+
+    def respond(self, model, columns, what="", pushes=None, anew=(), free=False):
+        rate = float(model.effects.get("mass_damping", {}).get("rate", 0.0))
+        if "solver" in anew:
+            self.told = rate
+        left = self.noise_in + self.size * (self.RATE - 0.5 * rate - 0.5 * self.told)
+        seen, nothing = np.ones(4, bool), np.full((4, 6, 3, 1), 1e-9)
+        return [
+            Response(0, start, each, seen, 0.5 * size[..., None], nothing, np.ones((4, 1)), seen)
+            for start, (each, size) in enumerate(zip(left, self.size, strict=True))
+        ]
+
+    @property
+    def floors_mm(self):
+        return []
+
+
+def test_what_the_mesh_keeps_an_effect_from_doing_counts() -> None:
+    """Slopes alone tell half of the way, three quarters of what it takes away."""
+    study, columns, variance = Coarse(), addition("mass_damping"), np.full((4, 6), 9e-6)
+    model = moved(extended(MODEL, columns), columns, np.array([Coarse.RATE]))
+    responses = study.respond(MODEL, columns)
+    weight = robust_weights(evidence(responses, variance))
+    found = judged(MODEL, MODEL, columns, responses, variance, weight)
+    found = tried(study, found, model, variance, weight, "there")
+    assert found is not None
+    apart = Apart(study, variance)
+    told = [apart.errors(found).share for _ in range(2)]
+    ends = Coarse(0.0).respond(MODEL, columns), Coarse(Coarse.RATE).respond(model, columns)
+    old, new = (float((weight * evidence(each, variance).c).sum()) for each in ends)
+    assert told[0] == told[1]  # what was told of the fit the first time is not known the second
+    np.testing.assert_allclose(told[0], 1 - new / old, rtol=0.02)

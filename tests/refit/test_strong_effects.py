@@ -43,6 +43,16 @@ class Told(Study):
         ]
 
 
+class Counted(Told):
+    """Counts how often it is asked."""
+
+    asked = 0
+
+    def respond(self, model, columns, what="", pushes=None, anew=(), free=False):
+        self.asked += 1
+        return super().respond(model, columns, what, pushes, anew, free)
+
+
 def fitted(study: Told):
     """The fit from nothing, with what variance and weights say there."""
     responses = study.respond(MODEL, COLUMNS)
@@ -55,6 +65,14 @@ def test_a_fit_does_not_end_on_its_way():
     found = fitted(Told(lambda a: 0.01 * a * np.ones(2), lambda a: 0.05 * np.ones(2), 0.0))
     assert found.converged
     assert found.change[0] == pytest.approx(TRUE, rel=0.05)
+
+
+def test_a_fit_does_not_go_to_and_fro():
+    """Tangents that say half of what roll-outs do: each of their steps goes twice as far as it should."""
+    study = Counted(lambda a: 0.01 * a * np.ones(2), lambda a: 0.005 * np.ones(2), 0.0)
+    found = fitted(study)
+    assert found.change[0] == pytest.approx(TRUE, rel=0.02)
+    assert found.converged and study.asked <= 5
 
 
 def test_variance_and_weights_follow_a_strong_effect():
