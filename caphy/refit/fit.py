@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, changes, extended, from_the_end
-from caphy.refit.evidence import Evidence, borne_out, bounded, evidence, ridged, tamed
+from caphy.refit.evidence import Evidence, borne_out, bounded, evidence, tamed
 from caphy.refit.responses import Response
 
 FURTHEST = 10.0
@@ -185,19 +185,3 @@ def gone(before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray
             falls += (np.clip(falls.sum(), min(ends), max(*ends, evenly.sum(), part)) - falls.sum()) / len(falls)
     return falls / total
 
-
-def gone_elsewhere(fitted: Fit, parts: np.ndarray) -> np.ndarray:
-    """Shares (W,) of the misfit that a fit takes away in each window where the windows of its part are left out of it;
-    ``parts`` (W,) tells which each is of, such as the motion.
-
-    Numbers are told by the slopes at the fit, where the misfit is nearly a quadratic form.
-    """
-    last = from_the_end(fitted.columns, fitted.change)
-    known, shares = fitted.evidence, gone(fitted.first, fitted.evidence, fitted.change, last)
-    total = max(float((fitted.first.weight * fitted.first.c).sum()), 1e-300)
-    for part in np.unique(parts):
-        here = parts == part
-        rest = replace(known, weight=known.weight * ~here)
-        other = known.misfit(ridged(*rest.normal, 1e-9)) - known.misfit(np.zeros_like(last))
-        shares[here] -= other[here] / total
-    return shares
