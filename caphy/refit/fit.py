@@ -184,4 +184,3 @@ def gone(before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray
         else:
             falls += (np.clip(falls.sum(), min(ends), max(*ends, evenly.sum(), part)) - falls.sum()) / len(falls)
     return falls / total
-
