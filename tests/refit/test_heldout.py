@@ -91,3 +91,18 @@ def test_what_the_mesh_keeps_an_effect_from_doing_counts() -> None:
     old, new = (float((weight * evidence(each, variance).c).sum()) for each in ends)
     assert told[0] == told[1]  # what was told of the fit the first time is not known the second
     np.testing.assert_allclose(told[0], 1 - new / old, rtol=0.02)
+
+
+def test_two_models_are_compared_alike_whatever_was_judged_before() -> None:
+    """Errors of the mesh are told of each of them, not of what a fit began with."""
+    columns, variance = addition("mass_damping"), np.full((4, 6), 9e-6)
+    model = moved(extended(MODEL, columns), columns, np.array([Coarse.RATE]))
+    responses = Coarse().respond(MODEL, columns)
+    found = judged(MODEL, MODEL, columns, responses, variance, np.ones(len(responses)))
+    apart, alone = Apart(Coarse(), variance), Apart(Coarse(), variance)
+    apart.errors(found)
+    ends = apart.between(MODEL, model).share, alone.between(MODEL, model).share
+    assert ends[0] == ends[1]
+    whole = [(each.residual**2).sum() for each in Coarse(Coarse.RATE).respond(model, columns)]
+    before = [(each.residual**2).sum() for each in responses]
+    np.testing.assert_allclose(ends[0], 1 - sum(whole) / sum(before), rtol=0.05)
