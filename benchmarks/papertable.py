@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
-from caphy.evaluate.rows import fabrics_found
-
-KINDS = ("lower", "upper")
+from caphy.evaluate.rows import fabrics_found, worn
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ def main() -> int:
     given = parser.parse_args()
     recipes = [recipe for recipe in RECIPES if not given.rows or recipe.folder in given.rows]
     jobs = [
-        (recipe, seed, kind) for seed in range(1, given.seeds + 1) for recipe in recipes for kind in _worn(given.run)
+        (recipe, seed, kind) for seed in range(1, given.seeds + 1) for recipe in recipes for kind in worn(given.run)
     ]
     failed, started = [], monotonic()
     for number, (recipe, seed, kind) in enumerate(jobs):
@@ -62,10 +60,6 @@ def main() -> int:
     if failed:
         print("not trained: " + "; ".join(failed), file=sys.stderr)
     return _caphy("evaluate", given.run / "scans", "-o", given.run, "--labels", given.run / "labels")
-
-
-def _worn(run: Path) -> list[str]:
-    return [kind for kind in KINDS if (run / f"{kind}.npz").is_file()]
 
 
 def _trained(given: argparse.Namespace, recipe: Recipe, seed: int, kind: str) -> bool:
@@ -89,7 +83,7 @@ def _trained(given: argparse.Namespace, recipe: Recipe, seed: int, kind: str) ->
     if recipe.physics == "fabric":
         words += ["--fabric", given.fabric]
     elif recipe.physics == "optimised":
-        unknown = [one for one in _worn(run) if one not in fabrics_found(run)]
+        unknown = [one for one in worn(run) if one not in fabrics_found(run)]
         if unknown:  # an earlier fit may have left the models of garments of which this one found nothing
             told = f"{run / 'fabric.json'}: tells no fabric of the {' and '.join(unknown)} garment"
             print(f"{told}, so this row cannot be trained; fit it with 'caphy fabric {run}'", file=sys.stderr)

@@ -40,9 +40,14 @@ def known_rows(run: Path) -> list[Row]:
     for name, places in _places(run).items():
         seeds = next((found for place in places if (found := seed_folders(run / place))), ())
         rows.append(Row(name, seeds, None if seeds else f"not trained (no networks in {' or '.join(places)})"))
-    worn = [kind for kind in KINDS if (run / f"{kind}.npz").is_file()]
-    whole = [run / last for last in LAST if worn and all((run / last / kind / NETWORK).is_file() for kind in worn)]
+    kinds = worn(run)
+    whole = [run / last for last in LAST if kinds and all((run / last / kind / NETWORK).is_file() for kind in kinds)]
     return rows + [Row(AVATAR, (folder,)) for folder in whole[:1]]
+
+
+def worn(run: Path) -> list[str]:
+    """The garments of which a run has a template."""
+    return [kind for kind in KINDS if (run / f"{kind}.npz").is_file()]
 
 
 def _places(run: Path) -> dict[str, tuple[str, ...]]:
