@@ -6,6 +6,8 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
 from caphy.diagnose.base import Base, base_of, checked_scenes
@@ -29,7 +31,7 @@ from caphy.refit.crew import Crew
 from caphy.refit.descent import weighed_anew
 from caphy.refit.heldout import Apart, HeldOut
 from caphy.refit.intervals import intervals
-from caphy.refit.responses import median_mm
+from caphy.refit.responses import Response, median_mm
 from caphy.refit.study import Study
 
 
@@ -192,7 +194,8 @@ def _concluded(
     apart: Apart | None,
     elsewhere: Outside,
 ) -> Diagnosis:
-    first, notes, terms = found.screens[0], _not_by_moved(study, base, apart), found.terms
+    first, terms = found.screens[0], found.terms
+    notes = [*unconverged(first.responses), *_not_by_moved(study, base, apart)]
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
     if terms and (reason := unproven(found.taken, errors, _acting(found, numbers))):
@@ -278,6 +281,17 @@ def _as_registered_first(study: Study) -> list[str]:
     return [f"clouds were not registered again by what was fitted to them: {why}"]
 
 
+def unconverged(responses: Sequence[Response]) -> list[str]:
+    """In how many frames of windows the solver did not converge, in words; nothing where it did in all."""
+    every = np.concatenate([response.converged for response in responses])
+    if every.all():
+        return []
+    return [
+        f"the solver did not converge in {np.sum(~every)} of the windows' {len(every)} frames: what it got wrong there "
+        "looks like what a model lacks; check units and stiffnesses of the model first"
+    ]
+
+
 def _not_by_moved(study: Study, base: Base | None, apart: Apart | None) -> list[str]:
     """Where clouds could not be registered by the parameters that base measurements moved, and why, in words."""
     if base is None or not base.changed:
@@ -321,6 +335,9 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
         return "none of its numbers is surely different from zero"
     if errors is None or errors.proves(taken):
         return ""
+    across = ""
+    if (there := errors.across) is not None:
+        across = f", {100 * there.share:.0f} % (error {100 * there.error:.0f} %) with numbers of other motions"
     by = f"{'rises' if errors.share < 0 else 'falls'} by {100 * abs(errors.share):.1f} %"
     doubt = f"error {100 * errors.share_error:.0f} %"
     if errors.few is not None:
@@ -329,8 +346,8 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
             f"few windows decide: {100 * few.promise:.1f} % if right, up to {100 * max(few.chance, 0):.1f} % by chance"
         )
     return (
-        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted; on held-out measurements the misfit "
-        f"{by} ({doubt}), where the median went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
+        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted{across}; on held-out measurements the "
+        f"misfit {by} ({doubt}), where the median went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
     )
 
 

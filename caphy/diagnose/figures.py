@@ -39,6 +39,8 @@ def figures(diagnosis: Diagnosis) -> dict:
             "share_of_misfit_gone": held.share,
             "its_standard_error": held.share_error,
             "few_windows_decide": held.few and {"share_by_chance": held.few.chance, "share_if_right": held.few.promise},
+            "across_motions": held.across
+            and {"share": held.across.share, "its_standard_error": held.across.error, "least": held.across.least},
             "windows_before_mm": held.before.tolist(),
             "windows_after_mm": held.after.tolist(),
         },

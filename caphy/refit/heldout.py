@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import binom
 
 from caphy.effects.model import Model
+from caphy.refit.across import Across, across
 from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
@@ -40,6 +41,7 @@ class HeldOut:
             dominates.
         share_error: its standard error over windows.
         few: what must be exceeded instead, where few windows decide.
+        across: what the fit takes away from one motion to another of those it was fitted to, if there are several.
     """
 
     before_mm: float
@@ -50,11 +52,14 @@ class HeldOut:
     share: float
     share_error: float
     few: Few | None = None
+    across: Across | None = None
 
     @property
     def unchanged(self) -> HeldOut:
         """Where the model stays as it was after all."""
-        return replace(self, after_mm=self.before_mm, after=self.before, share=0.0, share_error=0.0, few=None)
+        return replace(
+            self, after_mm=self.before_mm, after=self.before, share=0.0, share_error=0.0, few=None, across=None
+        )
 
     @property
     def sign_test(self) -> float:
@@ -68,20 +73,28 @@ class HeldOut:
         falls = self.after_mm < self.before_mm and self.sign_test < BY_CHANCE
         return falls or self.after_mm < FALLS * self.before_mm
 
+    @property
+    def holds_across(self) -> bool:
+        """Whether the fit surely takes away misfit across motions, and in each of them."""
+        there = self.across
+        return there is not None and there.least > 0 and there.share > SURE * there.error
+
     def proves(self, share: float) -> bool:
         """Whether what takes away a share of the misfit elsewhere holds here.
 
         The median error must fall, and the misfit must not rise. The median falls by 3 %, or the misfit falls by a
         third of that share or nearly so, and by two standard errors or in nearly all windows (a sign test of their
-        medians: of five windows, a standard error is hardly known). Where few windows decide the misfit must fall by
-        more than chance gives, and by a third of what it would fall by in these very windows. What is found where
-        nothing is missing rarely does.
+        medians: of five windows, a standard error is hardly known). What surely holds from one motion to another of
+        those it was fitted to need not surely fall here, but by all of that third. Where few windows decide the misfit
+        must fall by more than chance gives, and by a third of what it would fall by in these very windows. What is
+        found where nothing is missing rarely does.
         """
         if self.share < 0:
             return False
         if self.few is None:
             sure = self.share > SURE * self.share_error or self.sign_test < BY_CHANCE
             sure = sure and self.share + self.share_error >= PROVEN * share
+            sure = sure or (self.holds_across and self.share >= PROVEN * share)
         else:
             sure = self.share > self.few.chance and self.share >= PROVEN * self.few.promise
         return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)
@@ -123,7 +136,7 @@ class Apart:
         shares = gone(before, tamed(after, before), fitted.change, last)
         by_telling = before.weight * (after.c - told.c) / max(float((before.weight * before.c).sum()), 1e-300)
         rare = where_few_decide(before, known, self.variance, fitted.change)
-        return self._held_out(old, new, *summed(shares + by_telling), rare)
+        return self._held_out(old, new, *summed(shares + by_telling), rare, across(fitted))
 
     def between(self, before: Model, after: Model) -> HeldOut:
         """Roll out two models of which nothing else is known; their misfits are compared as they are."""
@@ -136,14 +149,20 @@ class Apart:
         return self._held_out(old, new, float(fell.sum()) / whole, float(error))
 
     def _held_out(
-        self, old: Sequence[Response], new: Sequence[Response], share: float, error: float, few: Few | None = None
+        self,
+        old: Sequence[Response],
+        new: Sequence[Response],
+        share: float,
+        error: float,
+        few: Few | None = None,
+        elsewhere: Across | None = None,
     ) -> HeldOut:
         errors = [[1e3 * response.error for response in each] for each in (old, new)]
         medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
         floors = self.study.floors_mm
         floor = float(np.median(floors)) if floors else None
-        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], share, error, few)
+        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], share, error, few, elsewhere)
 
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""

@@ -125,9 +125,9 @@ def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: 
         found.append(f"{there} the median distance must fall, but it {medians}")
     elif errors.share >= LEAST and not errors.proves(fitted.share):
         found.append(
-            f"{there} the median distance must fall by {100 * (1 - FALLS):.0f} %, or the misfit surely and by a third "
-            f"of what it falls by where the model is fitted ({100 * fitted.share:z.1f} %); the median {medians}, the "
-            f"misfit {fell}"
+            f"{there} the median distance must fall by {100 * (1 - FALLS):.0f} %, or the misfit by a third of what it "
+            f"falls by where the model is fitted ({100 * fitted.share:z.1f} %), surely there or from one motion to "
+            f"another of those; the median {medians}, the misfit {fell}"
         )
     return "; ".join(found)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from caphy.diagnose import base, diagnosis, figures, proof, search
-from caphy.diagnose.diagnosis import Coefficient, unproven
+from caphy.diagnose.diagnosis import Coefficient, unconverged, unproven
 from caphy.diagnose.groups import Group
 from caphy.diagnose.outside import outside
 from caphy.diagnose.screen import Score
@@ -406,3 +406,10 @@ def test_the_race_is_run_on_by_those_that_may_still_come_near_the_best(monkeypat
     assert [fits[label].share for label in runners] == [0.9, 0.9, 0.2, 0.45]
     assert not search._raced(None, found, scores, 1)["hopeful"].converged  # one step alone goes no further
     assert ran == ["pressure", "hopeful"]
+
+
+def test_frames_in_which_the_solver_did_not_converge_are_told():
+    windows = [SimpleNamespace(converged=np.array(each)) for each in ([True] * 8, [True] * 6 + [False] * 2)]
+    (note,) = unconverged(windows)
+    assert "did not converge in 2 of the windows' 16 frames" in note
+    assert unconverged(windows[:1]) == []
