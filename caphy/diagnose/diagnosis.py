@@ -25,6 +25,7 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.remarks import remarks
 from caphy.measure.track import Progress
+from caphy.refit.across import Across, across
 from caphy.refit.again import fitted_again
 from caphy.refit.columns import strengths
 from caphy.refit.crew import Crew
@@ -198,7 +199,7 @@ def _concluded(
     notes = [*unconverged(first.responses), *_not_by_moved(study, base, apart)]
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
-    if terms and (reason := unproven(found.taken, errors, _acting(found, numbers))):
+    if terms and (reason := unproven(found.taken, _proof(errors, found), _acting(found, numbers))):
         notes.append(_taken_back(terms, reason))
         terms = []
     before = first.responses
@@ -210,7 +211,7 @@ def _concluded(
             notes.append(_went(again.times, earlier, numbers))
             errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
             # Clouds registered with it favour it more than the first ones did: here it must hold all the more.
-            if reason := unproven(found.taken, errors, _acting(found, numbers)):
+            if reason := unproven(found.taken, _proof(errors, found), _acting(found, numbers)):
                 notes.append(_taken_back(terms, reason))
                 terms, before = [], first.responses
         else:
@@ -328,16 +329,30 @@ def _acting(found: Search, numbers: Mapping[str, Coefficient]) -> dict[str, Coef
     return {name: numbers[name] for name in strengths(found.fit.columns)}
 
 
-def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coefficient]) -> str:
+def _proof(errors: HeldOut | None, found: Search) -> HeldOut | Across | None:
+    """What a fit must hold on: measurements that were held out, or else each motion by the others' numbers."""
+    return errors if errors is not None or found.fit is None else across(found.fit)
+
+
+def unproven(taken: float, proof: HeldOut | Across | None, numbers: Mapping[str, Coefficient]) -> str:
     """Why what takes away a share of the misfit is not believed; empty where it is. ``numbers`` are those that are zero
     where nothing acts."""
     if not any(number.low > 0 or number.high < 0 for number in numbers.values()):
         return "none of its numbers is surely different from zero"
-    if errors is None or errors.proves(taken):
+    begin = f"it takes away {100 * taken:.0f} % of the misfit where it was fitted"
+    if isinstance(proof, Across):
+        rises = f"rises by {-100 * proof.share:.0f} % (error {100 * proof.error:.0f} %)"
+        return f"{begin}, which {rises} in each motion with the numbers of the others" if proof.fails else ""
+    if proof is None or proof.proves(taken):
         return ""
-    across = ""
-    if (there := errors.across) is not None:
-        across = f", {100 * there.share:.0f} % (error {100 * there.error:.0f} %) with numbers of other motions"
+    return f"{begin}{_in_words(proof)}"
+
+
+def _in_words(errors: HeldOut) -> str:
+    """What a fit does elsewhere."""
+    there = ""
+    if (elsewhere := errors.across) is not None:
+        there = f", {100 * elsewhere.share:z.0f} % (error {100 * elsewhere.error:.0f} %) with numbers of other motions"
     by = f"{'rises' if errors.share < 0 else 'falls'} by {100 * abs(errors.share):.1f} %"
     doubt = f"error {100 * errors.share_error:.0f} %"
     if errors.few is not None:
@@ -346,8 +361,8 @@ def unproven(taken: float, errors: HeldOut | None, numbers: Mapping[str, Coeffic
             f"few windows decide: {100 * few.promise:.1f} % if right, up to {100 * max(few.chance, 0):.1f} % by chance"
         )
     return (
-        f"it takes away {100 * taken:.0f} % of the misfit where it was fitted{across}; on held-out measurements the "
-        f"misfit {by} ({doubt}), where the median went from {errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
+        f"{there}; on held-out measurements the misfit {by} ({doubt}), where the median went from "
+        f"{errors.before_mm:.2f} to {errors.after_mm:.2f} mm"
     )
 
 

@@ -8,12 +8,14 @@ import numpy as np
 
 from caphy.diagnose.ambiguity import alike
 from caphy.diagnose.groups import Group
-from caphy.diagnose.search import Search, Term, refitted
+from caphy.diagnose.search import HOPE, Search, Term, refitted
 from caphy.refit.descent import retold
 from caphy.refit.fit import Fit
 from caphy.refit.heldout import Apart
 from caphy.refit.study import Study
 
+BEHIND = 0.5
+"""Of what an accepted effect takes away: what a rival must at least hope for to be tried to its end."""
 TOLD = 0.5
 """Of what a fitted effect does: by how much what tangents promised may differ for them to have ranked it rightly."""
 
@@ -34,6 +36,8 @@ def settle_rivals(study: Study, found: Search, apart: Apart) -> None:
             continue
         others, what = [other.group for other in found.terms if other is not term], f"trying {rival.label} instead"
         fitted = refitted(study, found, (*others, rival), what)
+        if _far_behind(fitted, found.fit):
+            continue
         fitted = retold(study, fitted, first.variance, first.evidence.weight, what)
         better = [fitted.misfit < found.fit.misfit, _median(apart, fitted) < _median(apart, found.fit)]
         known = tuple(group for group in term.even if group.name != rival.name)
@@ -42,6 +46,12 @@ def settle_rivals(study: Study, found: Search, apart: Apart) -> None:
             found.terms[place] = replace(term, group=rival, fit=fitted, even=known)
         elif any(better):
             found.terms[place] = replace(term, even=(*known, rival))
+
+
+def _far_behind(fitted: Fit, best: Fit) -> bool:
+    """Whether a fit takes away so little that what a finer mesh does for it will not make it the better one."""
+    hope = fitted.share + HOPE * fitted.promise / float((fitted.first.weight * fitted.first.c).sum())
+    return hope < BEHIND * best.share
 
 
 def _median(apart: Apart, fitted: Fit) -> float:

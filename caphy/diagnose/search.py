@@ -49,6 +49,8 @@ Only where base measurements have told the parameters: a stiffness that is far o
 
 OWN = 1.5
 """Times the best gain of the library: what parameters must reach that base measurements have told already."""
+HOPE = 2.0
+"""Times its promise: what a fit that has not settled may still take away."""
 
 _ITSELF = 0.99  # of a gain by chance: of a window that says next to nothing it does not matter how its sign was drawn
 _CLOSE = 0.6  # of the best gain: what is refitted
@@ -59,7 +61,6 @@ _TIE = 0.93  # of the best fall of the misfit: where fewer numbers win
 _FURTHER = 0.05  # of the misfit that is left: what a further effect must take away, or else prove on held-out windows
 _HEATS = 2  # steps of all explanations
 _BEHIND = 0.8  # of the best share by then: what an explanation must still hope for
-_HOPE = 2.0  # times its promise: what a fit that has not settled may still take away
 _DISPENSABLE = 0.03  # share of the misfit whose loss does not keep an effect
 
 
@@ -323,7 +324,7 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool, held_out: 
     least = last.needed
     if found.terms:  # beside a strong effect base measurements do not tell what is found where nothing is missing
         least = max(least, LEAST_GAIN if held_out else _FURTHER)
-    if _more(last, best) + _HOPE * best.promise / last.misfit < least:
+    if _more(last, best) + HOPE * best.promise / last.misfit < least:
         return None
     if not best.converged:
         best = refined(study, best, last.variance, last.evidence.weight, f"fitting {label}")
@@ -364,7 +365,7 @@ def _raced(study: Study, found: Search, near: Sequence[Score], rounds: int) -> d
     fits = {score.group.label: _fitted(study, found, score, min(rounds, _HEATS)) for score in near}
     best = max(each.share for each in fits.values())
     for label, each in fits.items():
-        hope = each.share + _HOPE * each.promise / last.misfit
+        hope = each.share + HOPE * each.promise / last.misfit
         if rounds > _HEATS and not each.converged and hope >= _BEHIND * best:
             what, left = f"trying {label}", rounds - _HEATS
             fits[label] = refined(study, each, last.variance, last.evidence.weight, what, left)

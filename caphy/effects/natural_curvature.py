@@ -7,16 +7,16 @@ from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import Hinge, turn
-from caphy.effects.lending import BENDINGS, STIFFENINGS, bending_energy, bending_rest
+from caphy.effects.hinge import turn
+from caphy.effects.lending import OfBending, bending_energy, bending_rest
 from caphy.effects.membrane import membrane_rest
 
 
-class NaturalCurvature(Hinge):
+class NaturalCurvature(OfBending):
     """Rest angles turned by theta_n, E = psi(theta - theta_rest - theta_n) - psi(theta - theta_rest) [J] per hinge.
 
-    psi is the model's own bending, with extra_bending and bending_anisotropy where it has them, so that with them the
-    sum is that of cloth which rests curved: its weft threads bent by the curvature kappa_u, its warp threads by
+    psi is the model's own bending, with whatever else stiffens its folds by a law of the angle alone, so that with them
+    the sum is that of cloth which rests curved: its weft threads bent by the curvature kappa_u, its warp threads by
     kappa_v, away from the normal (a ridge seen from outside). theta_n is the angle that the very same hinge has on the
     surface w = -(kappa_u u^2 + kappa_v v^2) / 2, to first order.
     """
@@ -33,8 +33,6 @@ class NaturalCurvature(Hinge):
     }
     coefficients = ("weft", "warp")
     reference = "Grinspun et al., Discrete shells, SCA 2003 (rest angles); Timoshenko, Bi-metal thermostats, 1925"
-    borrows = (BENDINGS,)
-    heeds = STIFFENINGS
 
     def rest(self, cloth: Cloth) -> dict[str, np.ndarray]:
         weft, warp = _angles_per_curvature(cloth)
@@ -43,7 +41,7 @@ class NaturalCurvature(Hinge):
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
         natural = p["weft"] * e.rest["weft_angle"] + p["warp"] * e.rest["warp_angle"]
         curved, plain = turn(angle, e.rest["angle"] + natural), turn(angle, e.rest["angle"])
-        return bending_energy(curved, e.rest, p) - bending_energy(plain, e.rest, p)
+        return bending_energy(curved, e, p) - bending_energy(plain, e, p)
 
 
 def _angles_per_curvature(cloth: Cloth) -> np.ndarray:

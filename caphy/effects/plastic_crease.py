@@ -7,17 +7,17 @@ from torch import Tensor
 
 from caphy.effects.base import Elements, Parameter, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.hinge import Hinge, dihedral, turn
-from caphy.effects.lending import BENDINGS, STIFFENINGS, bending_moment, bending_rest
+from caphy.effects.hinge import dihedral, turn
+from caphy.effects.lending import OfBending, bending_moment, bending_rest
 
 
-class PlasticCrease(Hinge):
+class PlasticCrease(OfBending):
     """Friction of folds, E = dt r |M| A / l (sqrt(kappa'^2 + s^2) - s) [J] per interior edge.
 
-    M is the elastic moment of the model's own bending, with extra_bending and bending_anisotropy where it has them, at
-    the last converged state and kappa' = l / A dtheta/dt the rate of curvature. Closing a fold takes (1 + r) of the
-    elastic moment, opening it gives back (1 - r): the cloth recovers only that share, and at r = 1 no fold opens by
-    itself. Below the rate s friction fades into viscosity, so that the potential is smooth and creases smooth out at
+    M is the elastic moment of the model's own bending, with whatever else stiffens its folds by a law of the angle
+    alone, at the last converged state and kappa' = l / A dtheta/dt the rate of curvature. Closing a fold takes (1 + r)
+    of the elastic moment, opening it gives back (1 - r): the cloth recovers only that share, and at r = 1 no fold opens
+    by itself. Below the rate s friction fades into viscosity, so that the potential is smooth and creases smooth out at
     rates below s. What stays is held by friction, not by a memory of its own: a crease ironed flat is gone.
     """
 
@@ -30,15 +30,13 @@ class PlasticCrease(Hinge):
     }
     reference = "Miguel et al., Modeling and estimation of internal friction in cloth, SIGGRAPH Asia 2013; ISO 2313"
     needs_step = True
-    borrows = (BENDINGS,)
-    heeds = STIFFENINGS
 
     def rest(self, cloth: Cloth) -> dict:
         return bending_rest(cloth)
 
     def bent(self, angle: Tensor, e: Elements, p: Values) -> Tensor:
         assert e.lagged is not None and e.dt is not None
-        moment = bending_moment(turn(dihedral(e.lagged), e.rest["angle"]), e.rest, p).abs()
+        moment = bending_moment(turn(dihedral(e.lagged), e.rest["angle"]), e, p).abs()
         width = e.rest["area"] / e.rest["length"]
         rate = turn(angle, e.then("dihedral angle", dihedral, turn)) / (e.dt * width)
         return e.dt * p["share"] * moment * width * (torch.sqrt(rate * rate + p["slip"] ** 2) - p["slip"])

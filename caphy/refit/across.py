@@ -10,6 +10,9 @@ from caphy.refit.columns import from_the_end
 from caphy.refit.evidence import ridged
 from caphy.refit.fit import Fit, gone, summed
 
+SURE = 2.0
+"""Standard errors by which a misfit surely falls, or rises."""
+
 
 @dataclass(frozen=True)
 class Across:
@@ -23,6 +26,16 @@ class Across:
     share: float
     error: float
     least: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether misfit surely falls, and in each motion."""
+        return self.least > 0 and self.share > SURE * self.error
+
+    @property
+    def fails(self) -> bool:
+        """Whether misfit surely rises."""
+        return self.share < -SURE * self.error
 
 
 def across(fitted: Fit) -> Across | None:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import binom
 
 from caphy.effects.model import Model
-from caphy.refit.across import Across, across
+from caphy.refit.across import SURE, Across, across
 from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
 from caphy.refit.evidence import evidence, robust_weights, tamed
@@ -21,8 +21,6 @@ from caphy.refit.study import Study
 
 PROVEN = 1 / 3
 """Of the share of the misfit that a fit takes away: what it must take away on held-out measurements."""
-SURE = 2.0
-"""Standard errors by which the misfit must fall there, at least."""
 FALLS = 0.97
 """Share of itself to which a median error must fall there to be proof enough."""
 BY_CHANCE = 0.05
@@ -73,12 +71,6 @@ class HeldOut:
         falls = self.after_mm < self.before_mm and self.sign_test < BY_CHANCE
         return falls or self.after_mm < FALLS * self.before_mm
 
-    @property
-    def holds_across(self) -> bool:
-        """Whether the fit surely takes away misfit across motions, and in each of them."""
-        there = self.across
-        return there is not None and there.least > 0 and there.share > SURE * there.error
-
     def proves(self, share: float) -> bool:
         """Whether what takes away a share of the misfit elsewhere holds here.
 
@@ -94,7 +86,7 @@ class HeldOut:
         if self.few is None:
             sure = self.share > SURE * self.share_error or self.sign_test < BY_CHANCE
             sure = sure and self.share + self.share_error >= PROVEN * share
-            sure = sure or (self.holds_across and self.share >= PROVEN * share)
+            sure = sure or (self.across is not None and self.across.holds and self.share >= PROVEN * share)
         else:
             sure = self.share > self.few.chance and self.share >= PROVEN * self.few.promise
         return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)

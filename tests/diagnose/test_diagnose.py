@@ -14,6 +14,7 @@ from explicit_cloth import clouds, measured, seen, simulate
 from caphy.cli import main
 from caphy.commands import diagnose as commands
 from caphy.commands.diagnose import Diagnose, _with_history
+from caphy.diagnose import rivals
 from caphy.diagnose.base import checked_scenes, from_base
 from caphy.diagnose.diagnosis import Diagnosis, _concluded, diagnose
 from caphy.diagnose.figures import figures, sentences
@@ -351,6 +352,19 @@ def test_what_is_right_stays(named, apart):
     found.terms[0] = replace(found.terms[0], weighed={WRONG: 0.45, HIDDEN: 0.5})
     settle_rivals(named.study, found, apart)
     assert found.fit is before and found.terms[0].group.name == HIDDEN
+
+
+def test_what_is_far_behind_is_not_tried_to_its_end(named, apart, monkeypatch):
+    found = searched(named, told=False)
+    before = found.fit
+    found.terms[0] = replace(found.terms[0], weighed={WRONG: 0.45, HIDDEN: 0.5})
+    monkeypatch.setattr(rivals, "retold", lambda *_: pytest.fail("told anew"))
+    monkeypatch.setattr(rivals, "BEHIND", 1.0)
+    settle_rivals(named.study, found, apart)
+    assert found.fit is before and found.terms[0].even == named.search.terms[0].even
+    monkeypatch.setattr(rivals, "BEHIND", 0.0)
+    with pytest.raises(pytest.fail.Exception):
+        settle_rivals(named.study, found, apart)
 
 
 def test_both_are_named_where_what_is_held_out_says_otherwise(named, apart, monkeypatch):

@@ -14,6 +14,7 @@ from caphy.diagnose.outside import outside
 from caphy.diagnose.screen import Score
 from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search, Term, finalists, ranked
 from caphy.effects.model import Model
+from caphy.refit.across import Across
 from caphy.refit.columns import Column, addition, extended, further, moved
 from caphy.refit.evidence import Evidence
 from caphy.refit.fit import Fit
@@ -406,6 +407,13 @@ def test_the_race_is_run_on_by_those_that_may_still_come_near_the_best(monkeypat
     assert [fits[label].share for label in runners] == [0.9, 0.9, 0.2, 0.45]
     assert not search._raced(None, found, scores, 1)["hopeful"].converged  # one step alone goes no further
     assert ran == ["pressure", "hopeful"]
+
+
+def test_without_held_out_measurements_no_motion_may_speak_against_the_others():
+    sure = {"mass_damping.rate": Coefficient(1.0, 0.5, 1.5, "1/s")}
+    assert "rises by 51 % (error 9 %)" in unproven(0.2, Across(-0.51, 0.09, -0.3), sure)
+    assert unproven(0.2, Across(-0.51, 0.40, -0.5), sure) == ""  # one window alone tells nothing for sure
+    assert unproven(0.2, Across(0.1, 0.02, 0.01), sure) == ""
 
 
 def test_frames_in_which_the_solver_did_not_converge_are_told():

@@ -24,7 +24,7 @@ from caphy.effects.model import Model
 from caphy.effects.own import use_file
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
-from caphy.effects.registry import register_file, registered_effects
+from caphy.effects.registry import find_effect, register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
 from caphy.effects.sources import sources
 from caphy.effects.trial import irregular_cloth, moment
@@ -333,6 +333,42 @@ def test_a_law_of_ones_own_is_cut_smaller_with_the_cloth(tmp_path):
     wanted = Potential(Model(cloth.density, elastic), cut).gradient(x)[1]
     got = Potential(Model(cloth.density, {**elastic, "shrinkage": {"fraction": 0.05}}), cloth).gradient(x)[1]
     torch.testing.assert_close(got, wanted, rtol=1e-9, atol=1e-12)
+
+
+FOLDS = '''
+from caphy.effects.base import Parameter
+from caphy.effects.hinge import Hinge, turn
+
+
+class MyFolds(Hinge):
+    """Folds that stiffen, E = k l^2 / (8 A) turn^2 [J] per interior edge."""
+
+    name = "my_folds"
+    parameters = {"stiffness": Parameter(3e-5, "N m", 0.0, 1.0, doc="stiffness")}
+    reference = "a user's own"
+
+    def bent(self, angle, e, p):
+        turned = turn(angle, e.rest["angle"])
+        return p["stiffness"] * e.rest["length"] ** 2 / (8 * e.rest["area"]) * turned**2
+'''
+
+
+@pytest.mark.parametrize("borrower", [{"natural_curvature": {"weft": 9.0, "warp": -4.0}}, {"plastic_crease": {}}])
+def test_a_law_of_ones_own_rests_curved_and_creases_with_the_cloth(tmp_path, borrower):
+    (tmp_path / "mine.py").write_text(FOLDS)
+    use_file(tmp_path / "mine.py")
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    parts = {"bending": {"stiffness_weft": 6e-5, "stiffness_warp": 4e-5}, "my_folds": {}, **borrower}
+    whole = {"bending": {"stiffness_weft": 9e-5, "stiffness_warp": 7e-5}, **borrower}
+    one, other = (Potential(Model(cloth.density, effects), cloth) for effects in (whole, parts))
+    torch.testing.assert_close(other.gradient(at.x, at.step), one.gradient(at.x, at.step))
+    (tmp_path / "other.py").write_text(
+        FOLDS.replace("my_folds", "other_folds").replace("MyFolds", "OtherFolds")
+        + "\n    def rest(self, cloth):\n        return super().rest(cloth)\n"
+    )
+    use_file(tmp_path / "other.py")
+    assert "other_folds" not in (find_effect(next(iter(borrower))).lenders(["bending", "other_folds"]) or ())
 
 
 def test_a_helper_of_another_file_is_not_taken_for_ones_own(tmp_path):
