@@ -264,9 +264,10 @@ class Potential:
     ) -> dict[str, Tensor]:
         """Derivatives of the gradient with respect to parameters, "effect.parameter" -> (*parameter, ..., V, 3).
 
-        Where the energy is linear in a parameter this is the effect's gradient per unit of it. History and body are
-        held fixed; effects that borrow a parameter contribute to its derivative, unless they are switched off.
-        Automatic differentiation of the energies, so it holds for every effect.
+        Where the energy is linear in a parameter this is the effect's gradient per unit of it, which a compiled kernel
+        tells where there is one. History and body are held fixed; effects that borrow a parameter contribute to its
+        derivative, unless they are switched off. All else is automatic differentiation of the energies, so it holds for
+        every effect.
 
         Args:
             x, step, body: the state, positions (..., V, 3) [m].
@@ -281,11 +282,30 @@ class Potential:
             keys = [key for key, full in names.items() if wanted is None or full in wanted]
             if not keys:
                 continue
-            elements = self.elements(term, x.detach(), step, body)
+            elements = None
             for key in keys:
-                mixed, full = _mixed_derivative(term, elements, key), names[key]
+                mixed, full = self._per_unit(term, key, x.detach(), step, body), names[key]
+                if mixed is None:
+                    elements = elements or self.elements(term, x.detach(), step, body)
+                    mixed = _mixed_derivative(term, elements, key)
                 totals[full] = totals[full] + mixed if full in totals else mixed
         return totals
+
+    def _per_unit(self, term: Term, key: str, x: Tensor, step: Step | None, body: BodyState | None) -> Tensor | None:
+        """What one unit more of a parameter adds to the gradient, (*parameter, ..., V, 3); None where its energy is not
+        linear in it, or no kernel says how."""
+        own = term.effect.parameters.get(key)
+        if own is None or not own.linear or x.device.type != "cpu" or self.loop(term, x, step, body) is None:
+            return None
+        value, x = term.values[key], x.contiguous()
+        found = []
+        for more in torch.eye(value.numel(), dtype=value.dtype).reshape(-1, *value.shape):
+            gradients = [torch.zeros_like(x), torch.zeros_like(x)]
+            for gradient, there in zip(gradients, (value, value + more), strict=True):
+                energy, other = x.new_zeros(x.shape[:-2]), replace(term, values={**term.values, key: there})
+                self._add(other, x, step, body, energy, gradient)
+            found.append(gradients[1] - gradients[0])
+        return torch.stack(found).reshape(*value.shape, *x.shape)
 
     def _check(self, x: Tensor) -> None:
         """Raises ValueError on positions of another cloth, precision or device."""

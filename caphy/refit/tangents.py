@@ -19,7 +19,10 @@ import torch
 from scipy.sparse import coo_array, csr_array
 from torch import Tensor
 
+from caphy.effects import past_kernels
 from caphy.effects.base import HISTORY, BodyState, Elements, Step
+from caphy.effects.bending_damping import BendingDamping
+from caphy.effects.compiled import Loop
 from caphy.effects.inertia import Inertia
 from caphy.effects.potential import Potential, Term
 from caphy.measure.mesh_body import MeshBody
@@ -135,6 +138,8 @@ class Tangents:
         for name, term in potential.present(stage.step, stage.body):
             if isinstance(term.effect, Inertia):
                 total -= (term.rest["mass"] / change.dt**2)[:, None] * change.target
+            elif isinstance(term.effect, BendingDamping) and (loop := potential.loop(term, stage.x, stage.step, None)):
+                _of_damping(loop, stage, change, total)
             elif (term.effect.needs_step or term.effect.reads_step) and len(total) > _FEW:
                 elements = potential.elements(term, stage.x, stage.step, stage.body)
                 if (which := (name, float(stage.step.lead) != 0)) not in self._read:
@@ -179,6 +184,16 @@ def _read(term: Term, e: Elements) -> tuple[str, ...]:
 
     term.effect.energy(Asked(**vars(e)), term.values)
     return tuple(field for field in HISTORY if field in asked)
+
+
+def _of_damping(loop: Loop, stage: Stage, change: Step, total: Tensor) -> None:
+    """Add what changes of the history do to bending damping, which models that do not ring have, in closed form."""
+    (start, lagged), (index, stiffness, length, area, lead) = loop.fields, loop.constants
+    by_start, by_lagged = (field.contiguous().numpy() for field in (change.start, change.lagged))
+    x = stage.x.numpy()[None]
+    past_kernels.bending_damping(
+        x, start, lagged, index, stiffness, length, area, lead, by_start, by_lagged, total.numpy()
+    )
 
 
 def _nudge(dt: float, field: str) -> float:

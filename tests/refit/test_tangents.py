@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from explicit_cloth import measured, simulate
 
+from caphy.effects.base import HISTORY
 from caphy.effects.model import Model
+from caphy.effects.potential import Potential
+from caphy.effects.trial import irregular_cloth, moment
 from caphy.measure.scene import Scene
 from caphy.refit import tangents
 from caphy.refit.columns import Column, moved
@@ -139,3 +143,19 @@ def test_holes_leave_the_rest_of_a_window_as_it_was(watched):
     found = next(holed.respond(DAMPED, (), [START]))
     assert found.seen.tolist() == [True, False, True, True, True]
     assert not found.residual[1].any()
+
+
+@pytest.mark.parametrize("lead", [0.0, 1 + np.sqrt(2)], ids=["first stage", "second stage"])
+def test_bending_damping_of_another_past_is_told_as_by_differences(lead):
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    step = replace(at.step, lead=lead)
+    potential = Potential(Model(cloth.density, {"bending_damping": {}}), cloth)
+    stage, random = tangents.Stage(step, at.x, None), np.random.default_rng(0)
+    fields = {name: torch.from_numpy(random.normal(0, 1e-3, (5, *at.x.shape))) for name in HISTORY}
+    change, told = replace(step, **fields), torch.zeros((5, *at.x.shape), dtype=torch.float64)
+    loop = potential.loop(potential.terms["bending_damping"], at.x, step, None)
+    assert loop is not None
+    tangents._of_damping(loop, stage, change, told)
+    wanted = tangents._along_history(potential, "bending_damping", stage, change)
+    torch.testing.assert_close(told, wanted, rtol=0, atol=1e-5 * float(wanted.abs().max()))
