@@ -20,7 +20,7 @@ from caphy.challenge.hidden import Hidden
 from caphy.challenge.recording import record, seen_by_user
 from caphy.challenge.sheets import corners, users_square
 from caphy.challenge.square import square
-from caphy.diagnose.groups import columns_of, library
+from caphy.diagnose.groups import columns_of, explanations
 from caphy.diagnose.screen import bounds, null_gains, screened
 from caphy.diagnose.search import screen
 from caphy.effects.model import Model
@@ -74,7 +74,7 @@ def main() -> None:
 
 def _some(study: Study, model: Model) -> int:
     """Screen against some of the library, and tell how many numbers they have."""
-    groups = library(model, on_body=False)[:FEW]
+    groups = [group for group in explanations(study, model, model) if not group.own][:FEW]
     columns, places = columns_of(groups)
     responses = study.respond(model, columns)
     known = evidence(responses, study.variance(responses))

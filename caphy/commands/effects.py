@@ -186,6 +186,7 @@ def _description(effect: Effect) -> str:
         "acts only on a body" * effect.needs_body,
         f"needs {needs(effect)}" * bool(effect.borrows),
         f"reads too, where there: {', '.join(effect.heeds)}" * bool(effect.heeds),
+        f"looked for opening by opening: {', '.join(effect.separate)}" * bool(effect.separate),
         f"does nothing where zero: {', '.join(effect.coefficients)}" * bool(effect.coefficients),
     ]
     lines += ["", *filter(None, traits), f"Reference: {effect.reference}"]

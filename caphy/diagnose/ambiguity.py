@@ -67,7 +67,7 @@ def _place(found: Search, term: Term, places: dict[str, list[int]]) -> tuple[str
     assert found.fit is not None
     names = [column.name for column in found.fit.columns]
     wanted = [names.index(column.name) for column in term.group.columns if column.name in names]
-    for label in (f"parameters of {term.group.name}", term.group.name):
+    for label in (f"parameters of {term.group.name}", term.group.label):
         if label in places and len(places[label]) == len(wanted):
             return label, found.fit.change[wanted]
     return None, np.zeros(0)

@@ -18,7 +18,7 @@ from caphy.body.model import BodyModel
 from caphy.diagnose.checks import check_cloth
 from caphy.diagnose.earlier import Earlier, earlier
 from caphy.diagnose.flexible import Flexible
-from caphy.diagnose.groups import Group, columns_of, library, own_groups
+from caphy.diagnose.groups import Group, columns_of, explanations
 from caphy.diagnose.probes import Probes
 from caphy.diagnose.screen import screened
 from caphy.effects.model import Model
@@ -165,12 +165,8 @@ def _put_right(study: Study, model: Model) -> tuple[Study, Model, dict[str, floa
 
 def _rolled_out(study: Study, model: Model) -> list[Response]:
     """All windows against a model and the whole library; how much of the mesh's error is there is free in each."""
-    columns, _ = columns_of(_groups(study, model))
+    columns, _ = columns_of(explanations(study, model, model))
     return study.respond(model, columns, "base measurements", Probes(model), {"start", "solver"}, free=True)
-
-
-def _groups(study: Study, model: Model) -> tuple[Group, ...]:
-    return *own_groups(model, model), *library(model, study.on_body)
 
 
 def _amount_of_mesh(free: Sequence[Response], variance: np.ndarray, most: float) -> float:
@@ -187,7 +183,7 @@ def _amount_of_mesh(free: Sequence[Response], variance: np.ndarray, most: float)
 
 def _looked(study: Study, model: Model, free: Sequence[Response], most_of_mesh: float) -> _Look:
     """A look at all windows, which tells the study how much of the mesh's error is in them."""
-    groups = _groups(study, model)
+    groups = explanations(study, model, model)
     columns, places = columns_of(groups)
     own = picked(free, ())
     study.mesh = _amount_of_mesh(own, study.variance(own), most_of_mesh)

@@ -230,7 +230,7 @@ def _concluded(
     similar = {term.group.name: alike(found, term) for term in kept}
     return Diagnosis(
         verdict=verdict,
-        found=tuple(term.group.name for term in kept if not term.group.own),
+        found=tuple(dict.fromkeys(term.group.name for term in kept if not term.group.own)),
         groups={term.group.name: (term.group.name, *(g.name for g in similar[term.group.name])) for term in kept},
         advice={
             f"{term.group.name} or {other.name}": advice(term.group, other)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from caphy.effects.candidates import candidates
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.refit.columns import Column, addition, tunable
+from caphy.refit.study import Study
 
 
 @dataclass(frozen=True)
@@ -19,15 +20,19 @@ class Group:
         name: the effect's.
         columns: its numbers.
         own: the model has the effect already; these are its parameters.
+        part: it is one of several numbers of its effect, each of which explains by itself.
     """
 
     name: str
     columns: tuple[Column, ...]
     own: bool = False
+    part: bool = False
 
     @property
     def label(self) -> str:
         """For people."""
+        if self.part:
+            return self.columns[0].name
         return f"parameters of {self.name}" if self.own else self.name
 
     @property
@@ -36,19 +41,31 @@ class Group:
         return find_effect(self.name).group
 
 
-def own_groups(model: Model, original: Model) -> list[Group]:
-    """What could be changed in the effects that a model has: parameters of the original's, coefficients of others."""
-    found = [
-        Group(name, tunable(name, model), own=True) if name in original.effects else Group(name, addition(name))
-        for name in model.effects
-    ]
-    return [group for group in found if group.columns]
+def explanations(study: Study, model: Model, original: Model) -> tuple[Group, ...]:
+    """What could be changed in a model of the cloth of a study, and what could be added to it.
+
+    Of effects that the ``original`` has these are parameters, of others coefficients. Effects that refine another are
+    tried once that one is found.
+    """
+    found: list[Group] = []
+    for name in model.effects:
+        found += [Group(name, tunable(name, model), own=True)] if name in original.effects else _added(study, name)
+    for name in candidates(model, study.on_body):
+        found += [] if find_effect(name).refines else _added(study, name)
+    return tuple(group for group in found if group.columns)
 
 
-def library(model: Model, on_body: bool) -> list[Group]:
-    """The effects that could be added to a model; those that refine another are tried once that one is found."""
-    names = [name for name in candidates(model, on_body) if find_effect(name).refines is None]
-    return [Group(name, addition(name)) for name in names]
+def _added(study: Study, name: str) -> Iterator[Group]:
+    """An effect that was or could be added: in one, or opening by opening.
+
+    What one opening cannot tell, as a skirt's waist that hardly moves, would else go its own way in every fit of what
+    the other does.
+    """
+    separate = find_effect(name).separate
+    yield Group(name, tuple(column for column in addition(name) if column.parameter not in separate))
+    for column in addition(name):
+        if column.parameter in separate and column.entry and column.entry[0] < study.openings:
+            yield Group(name, (column,), part=True)
 
 
 def columns_of(groups: Sequence[Group]) -> tuple[tuple[Column, ...], dict[str, list[int]]]:

@@ -10,7 +10,7 @@ import torch
 
 from caphy.diagnose.base import Base
 from caphy.diagnose.flexible import Flexible
-from caphy.diagnose.groups import Group, columns_of, library, own_groups
+from caphy.diagnose.groups import Group, columns_of, explanations
 from caphy.diagnose.probes import WIDTHS, Probes
 from caphy.diagnose.screen import Score, borrowed_gains, bounds, in_few, null_gains, screened
 from caphy.effects.model import Model
@@ -189,9 +189,10 @@ def screen(
     measurements taught to expect is told by the responses here: those of cloth that crumpled, since it was too large,
     were wild, and of a start that could do as much.
     """
-    groups = (*own_groups(model, original), *library(model, study.on_body))
+    groups = explanations(study, model, original)
     columns, _ = columns_of(groups)
-    looked = [Settings(model, group.name) for group in library(model, study.on_body) if settings(group.name)]
+    absent = dict.fromkeys(group.name for group in groups if group.name not in model.effects)
+    looked = [Settings(model, name) for name in absent if settings(name)]
     probed = study.respond(model, columns, "screening", _Together((Probes(model), *looked)), anew={"start"})
     if base is not None and (first is None or far):
         probed = study.correct(probed, columns, base.correction_in(probed, columns))
@@ -251,17 +252,17 @@ def _tune(study: Study, found: Search, original: Model, base: Base | None) -> No
         place, share = best_setting(known, last.model, name)
         if share < max(last.needed, last.scores[0].gain):
             continue
-        other = _in_setting(last, name, place, original, base, study.on_body)
+        other = _in_setting(study, last, name, place, original, base)
         if other.scores[0].group.name == name and other.scores[0].gain > last.scores[0].gain:
             if last is not first:
                 found.screens[0] = screen(study, in_setting(first.model, name, place), original, base, first)
             found.screens[-1] = other
 
 
-def _in_setting(last: Screen, name: str, place: int, original: Model, base: Base | None, on_body: bool) -> Screen:
+def _in_setting(study: Study, last: Screen, name: str, place: int, original: Model, base: Base | None) -> Screen:
     """A screen with an effect in another setting; without strength it changes nothing else."""
     model, there = in_setting(last.model, name, place), addition(name)
-    groups = (*own_groups(model, original), *library(model, on_body))
+    groups = explanations(study, model, original)
     every, _ = columns_of(last.groups)
     columns, _ = columns_of(groups)
     known = [column for column in columns if column not in there]

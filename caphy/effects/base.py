@@ -232,6 +232,8 @@ class Effect:
         borrows: other effects whose parameters it reads too, as ``p["body_contact.stiffness"]``; the model must have
             them. Of a tuple of alternatives the model must have at least one, and those it has are lent.
         heeds: other effects whose parameters it reads where the model has them, and can do without.
+        separate: parameters each entry of which acts in a place of its own, on one of the openings in their order, and
+            explains by itself.
     """
 
     name: ClassVar[str]
@@ -250,6 +252,7 @@ class Effect:
     further: ClassVar[Mapping[str, tuple[float, ...]]] = {}
     borrows: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
     heeds: ClassVar[tuple[str, ...]] = ()
+    separate: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)

@@ -24,6 +24,7 @@ class HeavyHem(Mass):
     parameters = {
         "line_density": Parameter((0.004, 0.0, 0.0, 0.0), "kg/m", 0.0, 10.0, doc="extra mass, lowest opening first")
     }
+    separate = ("line_density",)
     reference = "Newton, Philosophiae naturalis principia mathematica, 1687"
 
     def index(self, cloth: Cloth) -> np.ndarray:

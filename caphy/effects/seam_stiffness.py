@@ -24,6 +24,7 @@ class SeamStiffness(Effect):
     parameters = {
         "stiffness": Parameter((10.0, 0.0, 0.0, 0.0), "N", 0.0, 1e6, doc="force per stretch, lowest opening first")
     }
+    separate = ("stiffness",)
     reference = "Hooke, De potentia restitutiva, 1678"
     internal = True
 

@@ -24,6 +24,7 @@ class SeamTension(Effect):
     element = "edge"
     group = "rest shape"
     parameters = {"tension": Parameter((0.1, 0.0, 0.0, 0.0), "N", 0.0, 1e4, doc="force at rest length, lowest first")}
+    separate = ("tension",)
     reference = "Hooke, De potentia restitutiva, 1678"
     internal = True
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
+from caphy.garment.topology import boundary_loops
 from caphy.measure.noise import measurement_noise
 from caphy.measure.scene import Scene
 from caphy.measure.track import Progress
@@ -64,6 +66,14 @@ class Study:
     def on_body(self) -> bool:
         """Whether cloth meets a body in any of the scenes."""
         return any(each.scene.motion is not None for each in self.watched)
+
+    @cached_property
+    def openings(self) -> int:
+        """How many of them the cloth has; none that a pinched boundary leaves undecided."""
+        try:
+            return len(boundary_loops(self.scenes[0].garment.faces))
+        except ValueError:
+            return 0
 
     @property
     def noise(self) -> float:
