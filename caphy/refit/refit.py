@@ -15,6 +15,7 @@ from caphy.garment.template import Garment
 from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.measure.track import Progress
+from caphy.refit import openings
 from caphy.refit.again import fitted_again
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, addition, extended, further, moved, strengths, tunable
@@ -189,6 +190,8 @@ def _fitted(
     known = evidence(responses, variance)
     weight = robust_weights(known)
     first = _First(float((weight * known.c).sum()), variance)
+    fitted = openings.told(columns, replace(known, weight=weight), DISPENSABLE * first.misfit)
+    columns, responses = tuple(columns[place] for place in fitted), picked(responses, fitted)
     for name in names:
         if settings(name):
             elsewhere = study.respond(model, (), f"looking for {name}", Settings(model, name))
@@ -222,7 +225,7 @@ def _fitted(
 def _without(
     study: Study, model: Model, best: Fit, names: Sequence[str], variance: np.ndarray, weight: np.ndarray
 ) -> Fit:
-    columns = _columns(model, names)
+    columns = tuple(column for column in best.columns if column.effect in names)
     values = [column.value(best.model) for column in columns]
     start = moved(extended(model, columns), columns, np.array(values))
     responses = study.respond(start, columns, "without one")
