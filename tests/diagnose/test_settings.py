@@ -27,7 +27,7 @@ def test_another_setting_is_weighed_as_if_all_had_been_rolled_out_in_it():
     place, share = best_setting(evidence(first.elsewhere["gust"], first.variance, first.evidence.weight), MODEL, "gust")
     assert settings("gust")[place] != {"frequency": 1.0}
     assert 0 < share < 1
-    found = _in_setting(first, "gust", place, MODEL, None, study.on_body)
+    found = _in_setting(study, first, "gust", place, MODEL, None)
     alone = screen(study, in_setting(MODEL, "gust", place), MODEL, None, first)
     assert found.model.to_json() == alone.model.to_json()
     assert [score.group.label for score in found.scores] == [score.group.label for score in alone.scores]
