@@ -342,7 +342,7 @@ def unproven(taken: float, proof: HeldOut | Across | None, numbers: Mapping[str,
     begin = f"it takes away {100 * taken:.0f} % of the misfit where it was fitted"
     if isinstance(proof, Across):
         rises = f"rises by {-100 * proof.share:.0f} % (error {100 * proof.error:.0f} %)"
-        return f"{begin}, which {rises} in each motion with the numbers of the others" if proof.fails else ""
+        return f"{begin}; where each motion has the numbers of the others it {rises}" if proof.fails else ""
     if proof is None or proof.proves(taken):
         return ""
     return f"{begin}{_in_words(proof)}"

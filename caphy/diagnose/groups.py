@@ -61,10 +61,10 @@ def _added(study: Study, name: str) -> Iterator[Group]:
     What one opening cannot tell, as a skirt's waist that hardly moves, would else go its own way in every fit of what
     the other does.
     """
-    separate = find_effect(name).separate
-    yield Group(name, tuple(column for column in addition(name) if column.parameter not in separate))
-    for column in addition(name):
-        if column.parameter in separate and column.entry and column.entry[0] < study.openings:
+    columns = addition(name)
+    yield Group(name, tuple(column for column in columns if not column.separate))
+    for column in columns:
+        if column.separate and column.entry and column.entry[0] < study.openings:
             yield Group(name, (column,), part=True)
 
 

@@ -43,6 +43,11 @@ class Column:
         return find_effect(self.effect).parameters[self.parameter]
 
     @property
+    def separate(self) -> bool:
+        """Whether it is the number of one opening, and explains by itself."""
+        return bool(self.entry) and self.parameter in find_effect(self.effect).separate
+
+    @property
     def unit(self) -> str:
         """Of the number: the parameter's, or 1 for a relative change."""
         return "1" if self.entry is None else self.declared.unit

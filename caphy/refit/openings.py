@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from caphy.effects.registry import find_effect
 from caphy.refit.columns import Column
 from caphy.refit.evidence import Evidence, inverse
 
@@ -33,10 +32,6 @@ def told(columns: Sequence[Column], known: Evidence, little: float) -> list[int]
 
 def _of_several(columns: Sequence[Column], left: Sequence[int]) -> list[int]:
     """Which of the columns that are left are an opening of an effect that has others left."""
-    of = {place: columns[place].effect for place in left if _separate(columns[place])}
+    of = {place: columns[place].effect for place in left if columns[place].separate}
     names = list(of.values())
     return [place for place, name in of.items() if names.count(name) > 1]
-
-
-def _separate(column: Column) -> bool:
-    return column.parameter in find_effect(column.effect).separate
