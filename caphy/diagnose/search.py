@@ -15,9 +15,9 @@ from caphy.diagnose.probes import WIDTHS, Probes
 from caphy.diagnose.screen import Score, borrowed_gains, bounds, in_few, null_gains, screened
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, changes, extended, from_the_end, moved
-from caphy.refit.descent import ROUNDS, fit, refined, retold
+from caphy.refit.descent import ROUNDS, refined, retold
 from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
-from caphy.refit.fit import Fit, share_gone
+from caphy.refit.fit import Fit, judged, share_gone
 from caphy.refit.responses import Response, Watched, picked
 from caphy.refit.settings import Settings, best_setting, in_setting, settings
 from caphy.refit.study import Study
@@ -406,17 +406,16 @@ def _fitted(study: Study, found: Search, score: Score, rounds: int, enough: floa
     columns = (*before, *(column for column in score.group.columns if column not in before))
     responses = picked(last.responses, [every.index(column) for column in columns])
     what = f"trying {score.group.label}"
-    start = fit(study, last.model, columns, responses, last.variance, last.evidence.weight, what, 0)
-    if found.fit is not None:  # told from where the search began
-        known, _ = columns_of(first.groups)
-        start = replace(
-            start,
-            origin=first.model,
-            first=evidence(
-                picked(first.responses, [known.index(c) for c in columns]), first.variance, start.evidence.weight
-            ),
-        )
-    return refined(study, start, last.variance, last.evidence.weight, what, rounds, enough)
+    weight, windows = last.evidence.weight, _windows(first, columns)
+    told = evidence(windows, first.variance, weight)  # where the search began
+    start = judged(first.model, last.model, columns, responses, last.variance, weight, None, told, windows)
+    return refined(study, start, last.variance, weight, what, rounds, enough)
+
+
+def _windows(screen: Screen, columns: Sequence[Column]) -> list[Response]:
+    """What windows of a screen say of some columns."""
+    every, _ = columns_of(screen.groups)
+    return picked(screen.responses, [every.index(column) for column in columns])
 
 
 def _told(screen: Screen, columns: Sequence[Column]) -> Evidence:
@@ -465,14 +464,17 @@ def refitted(study: Study, found: Search, groups: Sequence[Group], what: str) ->
     start, known = extended(first.model, columns), extended(found.fit.model, columns)
     start = moved(start, columns, changes(start, known, columns))
     responses = study.respond(start, columns, what, anew={"solver"})
-    fitted = fit(study, start, columns, responses, first.variance, first.evidence.weight, what)
-    return replace(fitted, origin=first.model, first=_told(first, columns), by_retelling=found.fit.by_retelling)
+    weight, told = first.evidence.weight, _told(first, columns)
+    windows = _windows(first, columns)
+    fitted = judged(first.model, start, columns, responses, first.variance, weight, None, told, windows)
+    fitted = refined(study, fitted, first.variance, weight, what)
+    return replace(fitted, by_retelling=found.fit.by_retelling)
 
 
 def _lost(fitted: Fit, term: Term) -> float:
     """Share of the misfit that comes back without a term, by tangents, the other numbers free."""
     gone = np.array([column in term.group.columns for column in fitted.columns])
-    known = fitted.evidence
+    known = fitted.asked
     change = np.where(gone, -from_the_end(fitted.columns, fitted.change), 0.0)
     normal, right = known.normal
     change[~gone] = ridged(normal[np.ix_(~gone, ~gone)], (right - normal @ change)[~gone], 1e-9)

@@ -48,8 +48,8 @@ def across(fitted: Fit) -> Across | None:
     every = np.unique(motion)
     if len(every) < 2:
         return None
-    known, change = fitted.evidence, fitted.change
-    falls = gone(fitted.first, known, change, from_the_end(fitted.columns, change))
+    known, change = fitted.asked, fitted.change
+    falls = gone(fitted.first, fitted.evidence, change, from_the_end(fitted.columns, change))
     whole = max(float((fitted.first.weight * fitted.first.c).sum()), 1e-300)
     for one in every:
         here = motion == one

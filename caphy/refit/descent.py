@@ -55,7 +55,7 @@ def fit(
         most: what each may count at most (W,); by :func:`caphy.refit.fit.judged` unless given.
     """
     columns = tuple(columns)
-    start = judged(model, model, columns, list(responses), variance, weight, most)
+    start = judged(model, model, columns, list(responses), variance, weight, most, windows=responses)
     return refined(study, start, variance, weight, what, rounds)
 
 
@@ -82,7 +82,7 @@ def refined(
         found = tried(study, best, there, variance, weight, what)
         before = max(best.misfit, 1e-300)
         fell = 0.0 if found is None else 1 - found.misfit / before
-        if found is not None and fell > -_ROUGH:
+        if found is not None and (fell > -_ROUGH or (found.by_instruments is not None and _falls(best, found, step))):
             more = fell > max(_STILL_FALLS, _MORE_THAN_PROMISED * best.promise / before)
             longer = min(2 * longer, _LONGEST) if more else 1.0
             best, step = found, _no_farther_back(best, found, step, found.longer_step(longer))
@@ -104,10 +104,10 @@ def _no_farther_back(best: Fit, found: Fit, step: np.ndarray, further: np.ndarra
     Where tangents say half of what roll-outs do, steps go to and fro over it for as long as they are let.
     """
     last = from_the_end(best.columns, step)
-    before, after = (known.along(way)[0].sum() for known, way in ((best.evidence, step), (found.evidence, last)))
+    before, after = (known.along(way)[0].sum() for known, way in ((best.asked, step), (found.asked, last)))
     if not before < 0 < after:
         return further
-    normal = found.evidence.normal[0]
+    normal = found.asked.normal[0]
     whole, asked = (np.sqrt(way @ normal @ way) for way in (last, further))
     return further * min(1.0, after / (after - before) * whole / max(asked, 1e-300))
 
@@ -115,7 +115,7 @@ def _no_farther_back(best: Fit, found: Fit, step: np.ndarray, further: np.ndarra
 def _falls(best: Fit, found: Fit, step: np.ndarray) -> bool:
     """Whether slopes at both ends of a step say that the misfit falls. One window of a dozen whose cloth snaps into
     another fold raises it by more than a weak effect takes away."""
-    return share_gone(best.evidence, found.evidence, step, from_the_end(best.columns, step))[0] > 0
+    return share_gone(best.asked, found.asked, step, from_the_end(best.columns, step))[0] > 0
 
 
 def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
@@ -135,7 +135,7 @@ def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
         variance = study.variance(best.responses)
         weight = robust_weights(evidence(best.responses, variance))
         first = evidence(origin, variance, weight)
-        best = judged(best.origin, best.model, best.columns, best.responses, variance, weight, None, first)
+        best = judged(best.origin, best.model, best.columns, best.responses, variance, weight, None, first, origin)
         if best.settled:
             best = replace(best, converged=True)
             break
@@ -157,7 +157,7 @@ def tried(
         responses = study.respond(there, best.columns, what, anew=anew)
     except Diverged:
         return None
-    return judged(best.origin, there, best.columns, responses, variance, weight, best.most, best.first)
+    return judged(best.origin, there, best.columns, responses, variance, weight, best.most, best.first, best.windows)
 
 
 def retold(
@@ -181,7 +181,7 @@ def retold(
             break
         best = refined(study, best, variance, weight, what)
         path.append(best.change)
-        further = _way_left(path, best.evidence.normal[0])
+        further = _way_left(path, best.asked.normal[0])
         there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model
     return replace(best, by_retelling=gone_further(before, best.columns, best.change - path[0]))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -45,6 +45,9 @@ class Fit:
         by_retelling: how far columns, also some that are fitted no more, went because the mesh's error was told of the
             fitted model, or clouds were registered by it.
         weighed_first: what windows said before variance and weights were told anew, where they were.
+        windows: at the origin, in these columns; none where they are not known.
+        asked: what windows still ask for, by tangents of the origin where the fit takes away less than 30 % of the
+            misfit (:func:`asked_by_instruments`), else by its own: ``evidence``.
     """
 
     origin: Model
@@ -59,6 +62,12 @@ class Fit:
     follow: Mapping[Column, Mapping[Column, float]] = field(default_factory=dict)
     by_retelling: Mapping[Column, float] = field(default_factory=dict)
     weighed_first: Evidence | None = None
+    windows: tuple[Response, ...] = ()
+    by_instruments: Evidence | None = None
+
+    @property
+    def asked(self) -> Evidence:
+        return self.evidence if self.by_instruments is None else self.by_instruments
 
     @property
     def change(self) -> np.ndarray:
@@ -85,19 +94,19 @@ class Fit:
             for c, so_far in zip(self.columns, self.change, strict=True)
         ]
         lower, upper = np.array(limits).reshape(-1, 2).T
-        normal, right = self.evidence.normal
+        normal, right = self.asked.normal
         return bounded(normal, factor * right, lower, upper)
 
     @property
     def promise(self) -> float:
         """By how much that change should lower the misfit."""
-        (normal, right), step = self.evidence.normal, self.step
+        (normal, right), step = self.asked.normal, self.step
         return float(2 * step @ right - step @ normal @ step)
 
     @property
     def settled(self) -> bool:
         """Whether the step that is left is small beside the change so far, where the windows can tell."""
-        normal, change = self.evidence.normal[0], from_the_end(self.columns, self.change)
+        normal, change = self.asked.normal[0], from_the_end(self.columns, self.change)
         # Curvatures that have exploded since the origin say that all has been done; no fit takes more than was there.
         whole = min(float(change @ normal @ change), float((self.first.weight * self.first.c).sum()))
         return self.promise < max(_SETTLED * whole, _NOTHING * self.misfit)
@@ -112,8 +121,10 @@ def judged(
     weight: np.ndarray,
     most: np.ndarray | None = None,
     first: Evidence | None = None,
+    windows: Sequence[Response] = (),
 ) -> Fit:
-    """Of responses at a model, fitted from an origin; ``first`` is the evidence there, unless it is that model.
+    """Of responses at a model, fitted from an origin; ``first`` is the evidence there, unless it is that model, and
+    ``windows`` the responses, where they are known.
 
     ``variance`` (L, M) [m^2], ``weight`` and ``most`` (W,) as in :func:`caphy.refit.descent.fit`.
     """
@@ -123,10 +134,45 @@ def judged(
     known = replace(known, weight=known.weight * np.minimum(1, most / np.maximum(each, 1e-300)))
     misfit = float((known.weight * known.c).sum())
     if first is None:
-        return Fit(origin, model, columns, known, responses, known, misfit, most)
+        return Fit(origin, model, columns, known, responses, known, misfit, most, windows=tuple(windows))
     change = changes(extended(origin, columns), model, columns)
-    known = borne_out(tamed(known, first), first, change, from_the_end(columns, change))
-    return Fit(origin, model, columns, first, responses, known, misfit, most)
+    own = borne_out(tamed(known, first), first, change, from_the_end(columns, change))
+    found = Fit(origin, model, columns, first, responses, own, misfit, most, windows=tuple(windows))
+    if not windows or not change.any() or found.share >= LARGE:
+        return found
+    return replace(found, by_instruments=asked_by_instruments(found, variance, known.weight))
+
+
+_SLOPES = 0.02, 4.0  # of what more of a number does at a fit, over what its first bit does: what is believed
+_IN_COMMON = 0.3  # squared cosine of what tangents here and at the origin do: beyond it they snap little
+
+
+def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray) -> Evidence | None:
+    """What windows still ask for, by tangents of where the fit began; none where its own have much in common with them.
+
+    Where cloth is about to snap a roll-out and its own tangents go wrong together, and what these find in its residual
+    is in part the same chaos twice, which asks to stay: of a skirt's heavy hem half was missing, wherever a fit began.
+    Tangents of the origin know nothing of that. As instruments (Reiersol 1945; Sargan, Econometrica 26, 1958: the
+    remedy for errors in variables) they tell when no more is asked for. How much a number does by now over what its
+    first bit did is told by what it has taken away so far, or by its own tangents where these say less.
+    """
+    many = len(found.columns)
+    relative = np.array([column.entry is None for column in found.columns], dtype=bool)
+    unit = np.where(relative, 1 + found.change, 1.0)  # as columns count at the end
+    both = [
+        replace(now, columns=np.concatenate([then.columns * unit, now.columns], axis=-1))
+        for then, now in zip(found.windows, found.responses, strict=True)
+    ]
+    every = evidence(both, variance, weight)
+    known, change = every.picked(range(many)), found.change / unit
+    (normal, right), by_own = known.normal, every.normal[0][:, many:]
+    whole, local, own = (float(change @ part @ change) for part in (normal, by_own[:many], by_own[many:]))
+    if local**2 > _IN_COMMON * whole * own:
+        return None
+    so_far = float(change @ (unit * found.first.normal[1] - right)) / max(whole, 1e-300)
+    slope = min(so_far, local / max(whole, 1e-300)) if local > 0 else so_far
+    slope = float(np.clip(slope, *_SLOPES))
+    return replace(known, a=slope**2 * known.a, b=slope * known.b)  # tangents of the origin, at their length here
 
 
 def falls_evenly(before: Evidence, after: Evidence, change: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:

@@ -73,7 +73,7 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     retold = np.array([fit.by_retelling.get(column, 0.0) for column in fit.columns]) / scale
     known = np.hypot(known, retold / norm.ppf(0.5 + LEVEL / 2))
     doubts = known, np.hypot(known, fit.step)
-    own, wide = half_widths(fit.evidence, *doubts)
+    own, wide = half_widths(fit.asked, *doubts)
     if fit.weighed_first is not None:
         own, wide = np.maximum((own, wide), half_widths(fit.weighed_first, *doubts))
     below, above = np.where(fit.step < 0, wide, own), np.where(fit.step > 0, wide, own)

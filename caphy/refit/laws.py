@@ -14,9 +14,9 @@ from scipy.stats import rankdata
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect, registered_effects
 from caphy.refit.columns import Column, addition, changes, from_the_end, further
-from caphy.refit.descent import fit
+from caphy.refit.descent import refined
 from caphy.refit.evidence import evidence, ridged
-from caphy.refit.fit import Fit, falls_evenly
+from caphy.refit.fit import Fit, falls_evenly, judged
 from caphy.refit.study import Study
 
 LEAST = 1.0
@@ -60,7 +60,9 @@ def _fitted_on(
     what = f"trying {name}"
     # Errors of the mesh may last have been told of a model that was tried and given up.
     responses = study.respond(start, columns, what, anew={"solver"})
-    found = fit(study, start, columns, responses, variance, weight, what, most=best.most)
+    # Tangents of this start are no instruments: the effect is there, and snaps with it.
+    found = judged(start, start, tuple(columns), responses, variance, weight, best.most)
+    found = refined(study, found, variance, weight, what)
     idle = _beside(best.origin.without_effect(name), found.model)
     first = evidence(study.respond(idle, columns, what, anew={"solver"}), variance, best.first.weight)
     return replace(found, origin=idle, first=first, by_retelling=best.by_retelling, follow=best.follow)

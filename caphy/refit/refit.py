@@ -20,9 +20,9 @@ from caphy.refit.again import fitted_again
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, addition, extended, further, moved, strengths, tunable
 from caphy.refit.crew import Crew
-from caphy.refit.descent import fit, retold, weighed_anew
+from caphy.refit.descent import fit, refined, retold, weighed_anew
 from caphy.refit.evidence import evidence, robust_weights
-from caphy.refit.fit import Fit
+from caphy.refit.fit import Fit, judged
 from caphy.refit.heldout import FALLS, Apart, HeldOut
 from caphy.refit.intervals import intervals
 from caphy.refit.laws import LEAST as BETTER
@@ -200,12 +200,11 @@ def _fitted(
     best, removed = fit(study, model, columns, responses, variance, weight), []
     while len(names) - len(removed) > 1:
         left = [name for name in names if name not in removed]
-        trials = {name: _without(study, model, best, [n for n in left if n != name], variance, weight) for name in left}
+        trials = {name: _without(study, best, [n for n in left if n != name], variance, weight) for name in left}
         name = min(trials, key=lambda each: trials[each].misfit)
         if trials[name].misfit - best.misfit > DISPENSABLE * first.misfit:
             break
-        kept = [columns.index(column) for column in trials[name].columns]
-        best = replace(trials[name], origin=model, first=evidence(picked(responses, kept), variance, weight))
+        best = trials[name]
         removed.append(name)
     best = retold(study, best, variance, weight)
     for name, law in wanted.items():
@@ -222,14 +221,15 @@ def _fitted(
     return best, first, tuple(wanted[name] for name in removed)
 
 
-def _without(
-    study: Study, model: Model, best: Fit, names: Sequence[str], variance: np.ndarray, weight: np.ndarray
-) -> Fit:
+def _without(study: Study, best: Fit, names: Sequence[str], variance: np.ndarray, weight: np.ndarray) -> Fit:
+    """A fit of some of its effects, from the numbers that they have."""
     columns = tuple(column for column in best.columns if column.effect in names)
-    values = [column.value(best.model) for column in columns]
-    start = moved(extended(model, columns), columns, np.array(values))
-    responses = study.respond(start, columns, "without one")
-    return fit(study, start, columns, responses, variance, weight, "without one")
+    windows = picked(best.windows, [best.columns.index(column) for column in columns])
+    start = extended(best.origin, columns)
+    start = moved(start, columns, np.array([column.value(best.model) for column in columns]))
+    responses, first = study.respond(start, columns, "without one"), evidence(windows, variance, weight)
+    fitted = judged(best.origin, start, columns, responses, variance, weight, None, first, windows)
+    return refined(study, fitted, variance, weight, "without one")
 
 
 def _split(study: Study) -> Study:

@@ -136,6 +136,7 @@ def test_what_the_base_doubts_of_one_law_is_not_forgotten_with_the_next(monkeypa
     study = SimpleNamespace(respond=lambda *_, **__: [])
     known = Evidence(np.ones((1, 1, 1)), np.ones((1, 1)), np.ones(1), np.ones(1), np.ones(1))
     fitted = Fit(MODEL, MODEL, columns, known, [], known, 1.0, np.ones(1))
-    monkeypatch.setattr(laws, "fit", lambda *_, **__: fitted)
+    monkeypatch.setattr(laws, "judged", lambda *_, **__: fitted)
+    monkeypatch.setattr(laws, "refined", lambda *_, **__: fitted)
     monkeypatch.setattr(laws, "evidence", lambda *_: known)
     assert laws.told_further(study, best, "gust", known.c, known.c).follow == told
