@@ -97,7 +97,7 @@ def force_pictures(diagnosis: Diagnosis) -> list[Picture]:
         score = scores[best.label]
         pressure = moment.pressure(score)
         if pressure.any():
-            pictures.append(moment.picture(pressure, score.group.label.replace("_", " ")))
+            pictures.append(moment.picture(pressure, score.group.label.replace("_", " ").replace(".", ": ")))
     return pictures
 
 

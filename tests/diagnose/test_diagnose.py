@@ -349,9 +349,13 @@ def test_what_the_search_took_by_mistake_is_put_right(named, apart):
 def test_what_is_right_stays(named, apart):
     found = searched(named, told=False)
     before = found.fit
+    assert before is not None
     found.terms[0] = replace(found.terms[0], weighed={WRONG: 0.45, HIDDEN: 0.5})
+    missed = named.study.respond(before.model, (), anew={"solver"})
     settle_rivals(named.study, found, apart)
     assert found.fit is before and found.terms[0].group.name == HIDDEN
+    for then, now in zip(missed, named.study.respond(before.model, ()), strict=True):
+        np.testing.assert_array_equal(now.residual, then.residual)  # not what steps do to the rival
 
 
 def test_what_is_far_behind_is_not_tried_to_its_end(named, apart, monkeypatch):

@@ -87,7 +87,10 @@ def tensile_page(title: str, document: dict, facts: dict[str, str]) -> str:
 def diagnosis_page(title: str, document: dict, pictures: Sequence[Picture], facts: dict[str, str]) -> str:
     """The page of a diagnosis, from the figures of its JSON and pictures of forces; raises as the others."""
     ranking = document["ranking"][:_RANKED]
-    gains = [(r["explanation"].replace("_", " "), 100 * max(r["gain"], 0), 100 * r["gain_needed"]) for r in ranking]
+    gains = [
+        (r["explanation"].replace("_", " ").replace(".", ": "), 100 * max(r["gain"], 0), 100 * r["gain_needed"])
+        for r in ranking
+    ]
     flexible = [(name, 100 * max(gain, 0), 100 * max(gain, 0)) for name, gain in document["probes"].items()]
     shown = [
         ("Gain of the best explanations", "%: of the misfit; line to what it needs", gains),
