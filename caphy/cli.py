@@ -38,6 +38,8 @@ COMMANDS = {
 }
 LISTS = ("--base", "--held-out", "--effect-file", "--poses", "--motions", "--garments", "--kinds", "--betas")
 """Options with any number of values; given twice, the last ones alone would count."""
+STATUSES = """exit status: 0 done; 1 a part failed, or the result was refused (what a refit does not bear out);
+  2 input to put right, which one line says; 130 and 143 stopped by Ctrl-C and SIGTERM"""
 INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
 
 
@@ -45,7 +47,7 @@ def usage() -> str:
     """The top-level help text."""
     width = max(map(len, COMMANDS))
     lines = [f"  {name.ljust(width)}  {summary}" for name, summary in COMMANDS.items()]
-    return "\n".join(["usage: caphy COMMAND [OPTIONS]   (caphy COMMAND --help for more)", "", *lines])
+    return "\n".join(["usage: caphy COMMAND [OPTIONS]   (caphy COMMAND --help for more)", "", *lines, "", STATUSES])
 
 
 def command() -> NoReturn:
