@@ -30,7 +30,7 @@ from caphy.refit.again import fitted_again
 from caphy.refit.columns import strengths
 from caphy.refit.crew import Crew
 from caphy.refit.descent import weighed_anew
-from caphy.refit.heldout import Apart, HeldOut
+from caphy.refit.heldout import Apart, HeldOut, rises_where_fitted
 from caphy.refit.intervals import intervals
 from caphy.refit.responses import Response, median_mm
 from caphy.refit.study import Study
@@ -199,10 +199,10 @@ def _concluded(
     notes = [*unconverged(first.responses), *_not_by_moved(study, base, apart)]
     numbers = _coefficients(found, base, len(study.scenes)) if terms else {}
     errors = None if apart is None or found.fit is None else apart.errors(found.fit)
-    if terms and (reason := unproven(found.taken, _proof(errors, found), _acting(found, numbers))):
+    before = first.responses
+    if terms and (reason := _not_believed(found, before, errors, numbers)):
         notes.append(_taken_back(terms, reason))
         terms = []
-    before = first.responses
     if terms and not elsewhere.beats and found.fit is not None:
         again = fitted_again(study, found.fit, first.variance, base is None)
         if again is not None:
@@ -211,7 +211,7 @@ def _concluded(
             notes.append(_went(again.times, earlier, numbers))
             errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
             # Clouds registered with it favour it more than the first ones did: here it must hold all the more.
-            if reason := unproven(found.taken, _proof(errors, found), _acting(found, numbers)):
+            if reason := _not_believed(found, before, errors, numbers):
                 notes.append(_taken_back(terms, reason))
                 terms, before = [], first.responses
         else:
@@ -332,6 +332,15 @@ def _acting(found: Search, numbers: Mapping[str, Coefficient]) -> dict[str, Coef
 def _proof(errors: HeldOut | None, found: Search) -> HeldOut | Across | None:
     """What a fit must hold on: measurements that were held out, or else each motion by the others' numbers."""
     return errors if errors is not None or found.fit is None else across(found.fit)
+
+
+def _not_believed(
+    found: Search, before: Sequence[Response], errors: HeldOut | None, numbers: Mapping[str, Coefficient]
+) -> str:
+    """Why what was found is taken back, in words; empty where it is believed."""
+    assert found.fit is not None
+    reason = unproven(found.taken, _proof(errors, found), _acting(found, numbers))
+    return reason or rises_where_fitted(before, found.fit.responses)
 
 
 def unproven(taken: float, proof: HeldOut | Across | None, numbers: Mapping[str, Coefficient]) -> str:

@@ -157,7 +157,9 @@ def tried(
         responses = study.respond(there, best.columns, what, anew=anew)
     except Diverged:
         return None
-    return judged(best.origin, there, best.columns, responses, variance, weight, best.most, best.first, best.windows)
+    snaps = best.by_instruments is not None
+    known = best.most, best.first, best.windows, snaps
+    return judged(best.origin, there, best.columns, responses, variance, weight, *known)
 
 
 def retold(

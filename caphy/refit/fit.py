@@ -122,9 +122,10 @@ def judged(
     most: np.ndarray | None = None,
     first: Evidence | None = None,
     windows: Sequence[Response] = (),
+    snaps: bool = False,
 ) -> Fit:
     """Of responses at a model, fitted from an origin; ``first`` is the evidence there, unless it is that model, and
-    ``windows`` the responses, where they are known.
+    ``windows`` the responses, where they are known. ``snaps`` where tangents were seen to snap on the way.
 
     ``variance`` (L, M) [m^2], ``weight`` and ``most`` (W,) as in :func:`caphy.refit.descent.fit`.
     """
@@ -140,15 +141,16 @@ def judged(
     found = Fit(origin, model, columns, first, responses, own, misfit, most, windows=tuple(windows))
     if not windows or not change.any() or found.share >= LARGE:
         return found
-    return replace(found, by_instruments=asked_by_instruments(found, variance, known.weight))
+    return replace(found, by_instruments=asked_by_instruments(found, variance, known.weight, snaps))
 
 
 _SLOPES = 0.02, 4.0  # of what more of a number does at a fit, over what its first bit does: what is believed
 _IN_COMMON = 0.3  # squared cosine of what tangents here and at the origin do: beyond it they snap little
 
 
-def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray) -> Evidence | None:
-    """What windows still ask for, by tangents of where the fit began; none where its own have much in common with them.
+def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray, snaps: bool = False) -> Evidence | None:
+    """What windows still ask for, by tangents of where the fit began; none where its own have much in common with them,
+    and had on the way, or a fit would go to and fro between what either asks for.
 
     Where cloth is about to snap a roll-out and its own tangents go wrong together, and what these find in its residual
     is in part the same chaos twice, which asks to stay: of a skirt's heavy hem half was missing, wherever a fit began.
@@ -167,7 +169,7 @@ def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray) -
     known, change = every.picked(range(many)), found.change / unit
     (normal, right), by_own = known.normal, every.normal[0][:, many:]
     whole, local, own = (float(change @ part @ change) for part in (normal, by_own[:many], by_own[many:]))
-    if local**2 > _IN_COMMON * whole * own:
+    if not snaps and local**2 > _IN_COMMON * whole * own:
         return None
     so_far = float(change @ (unit * found.first.normal[1] - right)) / max(whole, 1e-300)
     slope = min(so_far, local / max(whole, 1e-300)) if local > 0 else so_far

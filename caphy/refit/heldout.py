@@ -16,13 +16,15 @@ from caphy.refit.evidence import evidence, robust_weights, tamed
 from caphy.refit.fit import Fit, gone, summed
 from caphy.refit.laws import Way
 from caphy.refit.learned import Learned
-from caphy.refit.responses import Response, picked
+from caphy.refit.responses import Response, median_mm, picked
 from caphy.refit.study import Study
 
 PROVEN = 1 / 3
 """Of the share of the misfit that a fit takes away: what it must take away on held-out measurements."""
 FALLS = 0.97
 """Share of itself to which a median error must fall there to be proof enough."""
+RISES = 1.01
+"""Share of itself to which the median distance may rise in windows that a model was fitted to, by folds that snap."""
 BY_CHANCE = 0.05
 """Of so many windows' medians falling where each may as well rise: below it that is proof too."""
 
@@ -90,6 +92,16 @@ class HeldOut:
         else:
             sure = self.share > self.few.chance and self.share >= PROVEN * self.few.promise
         return self.after_mm < FALLS * self.before_mm or (self.after_mm < self.before_mm and sure)
+
+
+def rises_where_fitted(before: Sequence[Response], after: Sequence[Response]) -> str:
+    """That what was fitted takes cloth away from where it was seen, in words; empty where it does not.
+
+    Tangents tell what an effect takes away apart from folds that snap. Where these bring farther away what it brings
+    nearer, held-out windows that happen to lie nearer are no proof.
+    """
+    was, now = median_mm(before), median_mm(after)
+    return "" if now <= RISES * was else f"where it was fitted the median distance rises from {was:.2f} to {now:.2f} mm"
 
 
 class Apart:

@@ -23,12 +23,12 @@ from caphy.refit.crew import Crew
 from caphy.refit.descent import fit, refined, retold, weighed_anew
 from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.fit import Fit, judged
-from caphy.refit.heldout import FALLS, Apart, HeldOut
+from caphy.refit.heldout import FALLS, Apart, HeldOut, rises_where_fitted
 from caphy.refit.intervals import intervals
 from caphy.refit.laws import LEAST as BETTER
 from caphy.refit.laws import in_another_law, signed_ranks, told_further, way
 from caphy.refit.learned import Learned
-from caphy.refit.responses import picked
+from caphy.refit.responses import Response, picked
 from caphy.refit.settings import Settings, best_setting, in_setting, settings
 from caphy.refit.study import FEWEST, Study
 
@@ -99,19 +99,23 @@ def refit(
     kept = tuple(name for name in names if name not in removed)
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
-    again = None if _refused(errors, fitted, numbers, kept) else fitted_again(study, fitted, variance, learned is None)
+    why = _refused(errors, first.responses, fitted, numbers, kept)
+    again = None if why else fitted_again(study, fitted, variance, learned is None)
     if again is not None:
         fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
         numbers = intervals(fitted, learned, len(study.scenes))
-    if why := _refused(errors, fitted, numbers, kept):
+        why = _refused(errors, again.before, fitted, numbers, kept)
+    if why:
         why = f"{why}: {', '.join(kept) or 'the new parameters'} refused"
         return Refit(model, (), names, numbers, errors, "; ".join(filter(None, (reason, why))), fitted.share, True)
     return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share)
 
 
-def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: Sequence[str]) -> str:
-    """Why a fit does not hold on held-out measurements, and that nothing is known of what was added; empty where all is
-    well.
+def _refused(
+    errors: HeldOut, before: Sequence[Response], fitted: Fit, numbers: Mapping[str, tuple], added: Sequence[str]
+) -> str:
+    """Why a fit does not hold on held-out measurements or where it was fitted, where windows were ``before`` it, and
+    that nothing is known of what was added; empty where all is well.
 
     ``numbers`` begin with a value and its interval. Proof is what a diagnosis asks for, and a misfit that falls.
     """
@@ -130,6 +134,8 @@ def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: 
             f"falls by where the model is fitted ({100 * fitted.share:z.1f} %), surely there or from one motion to "
             f"another of those; the median {medians}, the misfit {fell}"
         )
+    if rises := rises_where_fitted(before, fitted.responses):
+        found.append(rises)
     return "; ".join(found)
 
 
@@ -137,6 +143,7 @@ def _refused(errors: HeldOut, fitted: Fit, numbers: Mapping[str, tuple], added: 
 class _First:
     misfit: float
     variance: np.ndarray
+    responses: list[Response]
 
 
 def addable(model: Model, add: Sequence[str]) -> tuple[str, ...]:
@@ -189,7 +196,7 @@ def _fitted(
         variance = learned.variance
     known = evidence(responses, variance)
     weight = robust_weights(known)
-    first = _First(float((weight * known.c).sum()), variance)
+    first = _First(float((weight * known.c).sum()), variance, responses)
     fitted = openings.told(columns, replace(known, weight=weight), DISPENSABLE * first.misfit)
     columns, responses = tuple(columns[place] for place in fitted), picked(responses, fitted)
     for name in names:

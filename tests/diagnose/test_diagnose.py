@@ -313,6 +313,18 @@ def test_what_clouds_registered_again_do_not_tell_is_taken_back(named, apart, dr
     assert "refused" in refused.reason
 
 
+def test_what_takes_cloth_away_from_where_it_was_seen_is_taken_back(named, apart):
+    """As contact thickness of half a millimetre was named where only the time step differed, since held-out windows
+    happened to lie nearer."""
+    assert named.search.fit is not None
+    worse = [replace(window, error=2 * window.error) for window in named.search.screens[0].responses]
+    found = replace(named.search, fit=replace(named.search.fit, responses=worse))
+    told = _concluded(found, named.study, MODEL, MODEL, None, apart, named.outside)
+    assert (told.verdict, told.found) == ("nothing", ())
+    (note,) = [note for note in told.notes if f"{HIDDEN} was taken back" in note]
+    assert "where it was fitted the median distance rises from" in note
+
+
 @pytest.fixture(scope="module")
 def apart(named, dragged) -> Apart:
     return Apart(Study(checked_scenes(dragged[1:2], MODEL)), named.search.screens[0].variance)
