@@ -45,9 +45,9 @@ class Fit:
         by_retelling: how far columns, also some that are fitted no more, went because the mesh's error was told of the
             fitted model, or clouds were registered by it.
         weighed_first: what windows said before variance and weights were told anew, where they were.
-        windows: at the origin, in these columns; none where they are not known.
-        asked: what windows still ask for, by tangents of the origin where the fit takes away less than 30 % of the
-            misfit (:func:`asked_by_instruments`), else by its own: ``evidence``.
+        windows: the windows at the origin, in these columns; none where its tangents are no instruments.
+        by_instruments: what windows still ask for by tangents of the origin (:func:`asked_by_instruments`), where the
+            fit takes away less than 30 % of the misfit and its own tangents snap.
     """
 
     origin: Model
@@ -67,6 +67,7 @@ class Fit:
 
     @property
     def asked(self) -> Evidence:
+        """What windows still ask for: by instruments where these tell it, else by the fit's own tangents."""
         return self.evidence if self.by_instruments is None else self.by_instruments
 
     @property
