@@ -90,7 +90,8 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
     before, after = diagnosis.median_mm
     noise = "" if diagnosis.noise_mm is None else f"; noise alone gives {diagnosis.noise_mm:.2f} mm"
     if diagnosis.coefficients:
-        said.append(f"The median distance in the windows falls from {before:.2f} to {after:.2f} mm{noise}.")
+        goes = "falls" if after < before else "rises"
+        said.append(f"The median distance in the windows {goes} from {before:.2f} to {after:.2f} mm{noise}.")
     else:
         said.append(f"The median distance in the windows is {before:.2f} mm{noise}.")
     if diagnosis.held_out is not None and diagnosis.coefficients:

@@ -140,10 +140,14 @@ def changes(before: Model, after: Model, columns: Sequence[Column]) -> np.ndarra
     return np.array(found)
 
 
+def at_the_end(columns: Sequence[Column], change: np.ndarray) -> np.ndarray:
+    """Units (K,) in which the model at the end of a change counts: relative ones are of what the numbers are there."""
+    return np.where([column.entry is None for column in columns], 1 + change, 1.0)
+
+
 def from_the_end(columns: Sequence[Column], change: np.ndarray) -> np.ndarray:
-    """Changes (K,) as the model at their end counts them: relative ones refer to what the numbers are there."""
-    relative = np.array([column.entry is None for column in columns], dtype=bool)
-    return np.where(relative, change / np.where(relative, 1 + change, 1.0), change)
+    """Changes (K,) as the model at their end counts them."""
+    return change / at_the_end(columns, change)
 
 
 def forces(

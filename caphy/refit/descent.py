@@ -157,9 +157,8 @@ def tried(
         responses = study.respond(there, best.columns, what, anew=anew)
     except Diverged:
         return None
-    snaps = best.by_instruments is not None
-    known = best.most, best.first, best.windows, snaps
-    return judged(best.origin, there, best.columns, responses, variance, weight, *known)
+    known, snaps = (best.most, best.first, best.windows), best.by_instruments is not None
+    return judged(best.origin, there, best.columns, responses, variance, weight, *known, snaps=snaps)
 
 
 def retold(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from caphy.effects.model import Model
-from caphy.refit.columns import Column, changes, extended, from_the_end
+from caphy.refit.columns import Column, at_the_end, changes, extended, from_the_end
 from caphy.refit.evidence import Evidence, borne_out, bounded, evidence, tamed
 from caphy.refit.responses import Response
 
@@ -159,9 +159,7 @@ def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray, s
     remedy for errors in variables) they tell when no more is asked for. How much a number does by now over what its
     first bit did is told by what it has taken away so far, or by its own tangents where these say less.
     """
-    many = len(found.columns)
-    relative = np.array([column.entry is None for column in found.columns], dtype=bool)
-    unit = np.where(relative, 1 + found.change, 1.0)  # as columns count at the end
+    many, unit = len(found.columns), at_the_end(found.columns, found.change)
     both = [
         replace(now, columns=np.concatenate([then.columns * unit, now.columns], axis=-1))
         for then, now in zip(found.windows, found.responses, strict=True)

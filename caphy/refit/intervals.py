@@ -8,6 +8,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from caphy.refit.borrowed import deciding, few
+from caphy.refit.columns import at_the_end
 from caphy.refit.evidence import Evidence, inverse, ridged
 from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
@@ -68,8 +69,7 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
     and the wider interval counts.
     """
     known = 0.0 if learned is None else learned.doubt(fit.columns, motions, fit.follow, fit.first)
-    relative = np.array([column.entry is None for column in fit.columns], dtype=bool)
-    scale = np.where(relative, 1 + fit.change, 1.0)  # windows tell relative numbers from the end
+    scale = at_the_end(fit.columns, fit.change)  # windows tell relative numbers from there
     retold = np.array([fit.by_retelling.get(column, 0.0) for column in fit.columns]) / scale
     known = np.hypot(known, retold / norm.ppf(0.5 + LEVEL / 2))
     doubts = known, np.hypot(known, fit.step)
