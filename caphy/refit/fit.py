@@ -170,7 +170,8 @@ def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray, s
     whole, local, own = (float(change @ part @ change) for part in (normal, by_own[:many], by_own[many:]))
     if not snaps and local**2 > _IN_COMMON * whole * own:
         return None
-    so_far = float(change @ (unit * found.first.normal[1] - right)) / max(whole, 1e-300)
+    asked_first = unit * (weight @ found.first.b)  # by the weights windows have here: what snapped counts as little
+    so_far = float(change @ (asked_first - right)) / max(whole, 1e-300)
     slope = min(so_far, local / max(whole, 1e-300)) if local > 0 else so_far
     slope = float(np.clip(slope, *_SLOPES))
     return replace(known, a=slope**2 * known.a, b=slope * known.b)  # tangents of the origin, at their length here

@@ -94,6 +94,29 @@ def test_what_was_seen_to_snap_is_not_asked_again():
     assert judged(*given, windows, snaps=True).by_instruments is not None
 
 
+class Torn(Snapping):
+    """Cloth in one window asks for the opposite, and lies elsewhere altogether once the effect is there."""
+
+    def moved(self, rate: float) -> tuple[np.ndarray, np.ndarray]:
+        position, slope = super().moved(rate)
+        position[0] += 4 * self.size[0] * (rate == TRUTH) + 0.1 * (rate not in (0.0, TRUTH))
+        position[0] -= 8 * self.size[0] * (rate == TRUTH)
+        return position, slope
+
+
+def test_what_is_taken_away_so_far_is_told_by_windows_as_they_count_now():
+    """Where moves are in proportion to the number it does at the fit what its first bit did."""
+    study = Torn(0.0)
+    windows = study.respond(MODEL, COLUMNS)
+    start = judged(MODEL, MODEL, COLUMNS, windows, VARIANCE, np.ones(18))
+    there = MODEL.with_effect("mass_damping", rate=0.5)
+    given = MODEL, there, COLUMNS, study.respond(there, COLUMNS), VARIANCE, np.ones(18), start.most, start.first
+    found = judged(*given, windows, snaps=True)
+    assert found.evidence.weight[0] < 0.1
+    assert found.by_instruments is not None
+    assert found.by_instruments.a[1:] == pytest.approx(start.first.a[1:], rel=0.02)
+
+
 class Folding(Snapping):
     """Cloth in the windows that snap lies in another fold wherever the effect is."""
 
