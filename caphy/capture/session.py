@@ -65,10 +65,16 @@ def capture(plan: Plan, folder: Path, progress: Progress | None = None) -> None:
     """
     _check(plan)
     scans, truth = folder / "scans", folder / "truth"
-    _claim(plan, folder, truth)
+    begun = _claim(plan, folder, truth)
+    try:
+        subject = _subject(plan, truth)
+        poses = _poses(plan, truth, subject)
+    except CaphyError:
+        if begun:  # another plan may follow the advice in the same folder
+            for name in ("plan.json", "subject.json", "poses.npz"):
+                (truth / name).unlink(missing_ok=True)
+        raise
     scans.mkdir(parents=True, exist_ok=True)
-    subject = _subject(plan, truth)
-    poses = _poses(plan, truth, subject)
     rig = Rig(subject, poses, plan.optics, plan.seed, Dresser(subject, poses, plan.simulate))
     for index in range(plan.count):
         mesh, still = scans / f"scan_{index:03d}.ply", truth / "stills" / f"scan_{index:03d}.npz"
@@ -122,13 +128,15 @@ def _small(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32) if values.dtype == np.float64 else values
 
 
-def _claim(plan: Plan, folder: Path, truth: Path) -> None:
-    """Write the plan down, or make sure that the folder's is the same."""
+def _claim(plan: Plan, folder: Path, truth: Path) -> bool:
+    """Write the plan down, or make sure that the folder's is the same; whether it was new."""
     path, text = truth / "plan.json", json.dumps(asdict(plan), indent=1)
     if not path.is_file():
         write_text(path, text)
-    elif _read(path) != json.loads(text):
+        return True
+    if _read(path) != json.loads(text):
         raise CaphyError(f"{folder}: holds another session ({path}); choose another folder, or delete this one")
+    return False
 
 
 def _read(path: Path) -> dict[str, Any]:

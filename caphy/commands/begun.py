@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.evaluate.learnt_from import CONTENTS, OPTIONS, SCANS_DIGEST
+from caphy.evaluate.learnt_from import CONTENTS, INIT_SCANS, OPTIONS, RECORD, SCANS_DIGEST, learnt_from
 from caphy.io.places import write_text
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from caphy.io.poses import PoseSequence
     from caphy.training.initial import Initial
 
-GARMENT, MODEL, RECORD = "garment.npz", "model.json", "run.json"
+GARMENT, MODEL = "garment.npz", "model.json"
 
 
 def option(kind: Any, value: Any, folder: Path) -> Any:
@@ -150,6 +150,7 @@ def write_record(
         "held_out": [Path(clip.source).name for clip in held_out],
         "scans": None if options.scans is None else options.scans.resolve().name,
         SCANS_DIGEST: read.get("scans"),
+        INIT_SCANS: None if options.init is None else sorted(set(learnt_from(options.init))),
         "lambda_3d": options.lambda_3d,
         "physics": options.physics,
         "held_out_paths": [clip.source for clip in held_out],

@@ -257,7 +257,12 @@ def _collide(plan: Plan) -> None:
         return
     resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
     budget = ["--epochs", str(plan.collision_epochs), "--seed", str(plan.seed)]
-    _command("collide", *networks_of(plan.run, ("fabric", "train")), "-o", folder, *budget, *resume)
+    try:
+        _command("collide", *networks_of(plan.run, ("fabric", "train")), "-o", folder, *budget, *resume)
+    except CaphyError:
+        for kind in worn:  # of epochs before: the avatar is made without; the checkpoint goes on from them
+            (folder / kind / "network.safetensors").unlink(missing_ok=True)
+        raise
 
 
 def final(run: Path) -> list[Path]:

@@ -13,10 +13,14 @@ from caphy.io.bundle import MANIFEST
 
 OPTIONS: Final = "options.json"
 """What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
+RECORD: Final = "run.json"
+"""The record that an avatar carries on."""
 CONTENTS: Final = "contents"
 """Digests of what those options name by path, in the same file."""
 SCANS_DIGEST: Final = "scans_digest"
 """The digest of the scans in the record that an avatar carries on."""
+INIT_SCANS: Final = "init_scans_digests"
+"""Digests of the scans that what ``--init`` went on from had learnt from, in the same record."""
 
 
 def require_same_scans(folder: Path, kinds: Sequence[str], digest: str) -> None:
@@ -27,7 +31,7 @@ def require_same_scans(folder: Path, kinds: Sequence[str], digest: str) -> None:
             from no scans may be held against any.
     """
     folders = [folder] if (folder / MANIFEST).is_file() else [folder / kind for kind in kinds]
-    for told in [each for one in folders for each in _learnt_from(one)]:
+    for told in [each for one in folders for each in learnt_from(one)]:
         if told != digest:
             raise CaphyError(
                 f"{folder}: trained on other scans than split.json names for training now"
@@ -36,19 +40,21 @@ def require_same_scans(folder: Path, kinds: Sequence[str], digest: str) -> None:
             )
 
 
-def _learnt_from(folder: Path) -> Iterator[str]:
+def learnt_from(folder: Path) -> Iterator[str]:
     """A digest of the scans of each training behind an avatar or a network; empty where it was not kept."""
     if (folder / MANIFEST).is_file():
         for garment in _json(folder / MANIFEST).get("provenance", {}).get("garments", {}).values():
             training = garment.get("training", {})
             if training.get("scans"):
                 yield training.get(SCANS_DIGEST, "")
+            yield from training.get(INIT_SCANS) or ()
         return
-    told = _json(folder / OPTIONS)
-    if told.get("scans"):
-        yield told.get(CONTENTS, {}).get("scans", "")
-    if told.get("init"):  # what it went on from has learnt from scans of its own
-        yield from _learnt_from(Path(os.path.normpath(folder.resolve() / told["init"])))
+    given = _json(folder / OPTIONS)
+    if given.get("scans"):
+        yield given.get(CONTENTS, {}).get("scans", "")
+    if given.get("init"):  # what it went on from has learnt from scans of its own
+        before = _json(folder / RECORD).get(INIT_SCANS)
+        yield from learnt_from(Path(os.path.normpath(folder.resolve() / given["init"]))) if before is None else before
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -12,14 +12,15 @@ from caphy.body.surface import Surface
 from caphy.errors import CaphyError
 from caphy.register.articulation import Figure, Placement
 from caphy.register.cloud import Cloud
-from caphy.register.coarse import CoarseFit
 from caphy.register.prior import PosePrior
-from caphy.register.rounds import ROUNDS, State, Wearer, run_round
-from caphy.register.starts import first_fit
+from caphy.register.rounds import ROUNDS, SKIN_POINTS, State, Wearer, run_round
+from caphy.register.starts import FirstFit, first_fit
 from caphy.register.store import Store
 
 LOST = 0.10
 """Share of unexplained points above which a scan is left out."""
+FEWEST = 10
+"""Points of skin, and of cloth, that a fit must see."""
 ANOTHER = 0.010
 """Mean distance of skin from the shared body [m] above which a scan shows somebody else, or wrong labels."""
 
@@ -84,7 +85,7 @@ def fit_bodies(
     scans, store = list(taken), store or Store(None)
     surface, failures = Surface.of(body.faces, body.v_template), {}
     firsts = _first_fits(body, surface, scans, store, progress, failures)
-    wearers, state = _joined(body, scans, firsts, failures)
+    wearers, state = _joined(body, scans, firsts)
     state = _rounds(state, wearers, surface, store, progress)
     found = [
         scan_figures(state.figure, p, w.skin_cloud, surface) for p, w in zip(state.placements, wearers, strict=True)
@@ -126,38 +127,66 @@ def _first_fits(
     store: Store,
     progress: Progress,
     failures: dict[str, str],
-) -> dict[int, CoarseFit]:
-    """Coarse fits by the scan's number; what cannot be fitted goes into ``failures``."""
+) -> dict[int, FirstFit]:
+    """First fits by the scan's number; what cannot be fitted goes into ``failures``."""
     figure, found, known = Figure.of(body), {}, store.key(body)
     for i, scan in enumerate(scans):
         progress("first poses", i, len(scans))
+        if few := _too_few(scan.cloud):
+            failures[scan.cloud.name] = few
+            continue
         key = store.key(known, scan.cloud, scan.start)
         kept = store.first(scan.cloud.name, key)
         if kept is None:
             kept = first_fit(figure, surface, scan.cloud, scan.start)
-            store.keep_first(scan.cloud.name, key, *kept)
-        if kept[1] > LOST:
-            failures[scan.cloud.name] = (
-                f"{scan.cloud.name}: no pose explains it ({100 * kept[1]:.0f} % of it is more than 3 cm off); look at "
-                "its labels, give an initial pose (poses in scans.toml), or leave it out"
-            )
+            store.keep_first(scan.cloud.name, key, kept)
+        if kept.unexplained > LOST:
+            failures[scan.cloud.name] = _lost(scan.cloud.name, kept)
         else:
-            found[i] = kept[0]
+            found[i] = kept
     if not found:
         raise CaphyError(_all_failed(failures))
     return found
 
 
-def _joined(
-    body: BodyModel, scans: Sequence[Taken], firsts: dict[int, CoarseFit], failures: dict[str, str]
-) -> tuple[list[Wearer], State]:
-    """What goes into the rounds: scans with a first pose, from the middle of their shapes."""
+def _too_few(cloud: Cloud) -> str:
+    """That of all a scan's points that are fitted to next to none are skin, or cloth, in words; else empty."""
+    thin = cloud.thinned(SKIN_POINTS)
+    counts = {"skin": int(thin.skin.sum()), "cloth": int((~thin.skin).sum())}
+    kind = min(counts, key=lambda kind: counts[kind])
+    if counts[kind] >= FEWEST:
+        return ""
+    return (
+        f"{cloud.name}: of {len(thin.points)} points spread evenly over it {counts[kind]} are {kind}, must be {FEWEST} "
+        "or more; check its labels, or leave the scan out"
+    )
+
+
+def _lost(name: str, first: FirstFit) -> str:
+    """Why a scan cannot be used that no pose explains."""
+    if first.unseen > first.far:
+        return (
+            f"{name}: no pose explains it: {100 * first.unseen:.0f} % of the head, forearms and feet of a body in it "
+            "lie where it shows nothing; if it is cropped give the whole scan, else an initial pose (poses in "
+            "scans.toml), or leave it out"
+        )
+    return (
+        f"{name}: no pose explains it ({100 * first.far:.0f} % of it is more than 3 cm off); look at its labels, give "
+        "an initial pose (poses in scans.toml), or leave it out"
+    )
+
+
+def _joined(body: BodyModel, scans: Sequence[Taken], firsts: dict[int, FirstFit]) -> tuple[list[Wearer], State]:
+    """What goes into the rounds: scans with a first pose, from the middle of their shapes.
+
+    An estimate that a plain pose beat is wrong, and says nothing of what a scan leaves open either.
+    """
     wearers = []
-    for i in firsts:
-        start = scans[i].start
+    for i, first in firsts.items():
+        start = scans[i].start if first.estimated else None
         wearers.append(Wearer.of(scans[i].cloud, PosePrior(None if start is None else start.rotations[:22])))
-    betas = np.median([fit.betas for fit in firsts.values()], axis=0)
-    return wearers, State(Figure.of(body, betas), tuple(fit.placement for fit in firsts.values()))
+    betas = np.median([first.fit.betas for first in firsts.values()], axis=0)
+    return wearers, State(Figure.of(body, betas), tuple(first.fit.placement for first in firsts.values()))
 
 
 def _rounds(state: State, wearers: Sequence[Wearer], surface: Surface, store: Store, progress: Progress) -> State:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from caphy.body.surface import Surface
@@ -22,23 +24,45 @@ ARMS_DOWN = np.radians((0.0, 55.0))
 CHECKED_POINTS = 1500
 
 
-def first_fit(figure: Figure, surface: Surface, cloud: Cloud, start: Placement | None) -> tuple[CoarseFit, float]:
-    """The best coarse fit of a cloud, and the share of its points that stay unexplained.
+@dataclass(frozen=True, eq=False)
+class FirstFit:
+    """The best coarse fit of a scan.
+
+    Attributes:
+        fit: pose and shape.
+        far: share of the scan's points that lie far off.
+        unseen: share of the body's head, forearms and feet that lie where the scan shows nothing.
+        estimated: whether it came from the estimate, rather than from a plain pose that explains more.
+    """
+
+    fit: CoarseFit
+    far: float
+    unseen: float
+    estimated: bool
+
+    @property
+    def unexplained(self) -> float:
+        """Both shares."""
+        return self.far + self.unseen
+
+
+def first_fit(figure: Figure, surface: Surface, cloud: Cloud, start: Placement | None) -> FirstFit:
+    """The best coarse fit of a cloud.
 
     Args:
         start: an estimate that may be 20 degrees off in every joint, or none.
     """
     fits = []
     if start is not None:
-        fits.append(coarse_fit(figure, cloud, start, PosePrior(start.rotations[:22])))
-        if unexplained(fits[0], figure, surface, cloud) < DOUBTFUL:
-            return fits[0], unexplained(fits[0], figure, surface, cloud)
+        fit = coarse_fit(figure, cloud, start, PosePrior(start.rotations[:22]))
+        fits.append(FirstFit(fit, *_unexplained(fit, figure, surface, cloud), True))
+        if fits[0].unexplained < DOUBTFUL:
+            return fits[0]
     rough = [coarse_fit(figure, cloud, plain, PosePrior(), WIDTHS[:5]) for plain in plain_poses()]
-    for fit in sorted(rough, key=lambda fit: fit.misfit)[:2]:
-        fits.append(coarse_fit(figure, cloud, fit.placement, PosePrior()))
-    shares = [unexplained(fit, figure, surface, cloud) for fit in fits]
-    best = int(np.argmin(shares))
-    return fits[best], shares[best]
+    for near in sorted(rough, key=lambda fit: fit.misfit)[:2]:
+        fit = coarse_fit(figure, cloud, near.placement, PosePrior())
+        fits.append(FirstFit(fit, *_unexplained(fit, figure, surface, cloud), False))
+    return min(fits, key=lambda fit: fit.unexplained)
 
 
 def plain_poses() -> list[Placement]:
@@ -54,13 +78,13 @@ def plain_poses() -> list[Placement]:
     return found
 
 
-def unexplained(fit: CoarseFit, figure: Figure, surface: Surface, cloud: Cloud) -> float:
-    """Share (0 to 1) of points that lie far off: skin off the body, cloth inside it, body where nothing was seen."""
+def _unexplained(fit: CoarseFit, figure: Figure, surface: Surface, cloud: Cloud) -> tuple[float, float]:
+    """Shares (0 to 1) of points that lie far off, skin off the body or cloth inside it, and of body unseen."""
     cloud = cloud.thinned(CHECKED_POINTS)
     vertices = Figure(figure.body, fit.betas, figure.displacement).placed(fit.placement).vertices
     distance = surface.nearest(cloud.points, vertices).distance
     off = np.where(cloud.skin, np.abs(distance), np.maximum(MARGIN - distance, 0.0))
-    return float((off > FAR).mean() + _unseen_limbs(vertices, figure, cloud))
+    return float((off > FAR).mean()), _unseen_limbs(vertices, figure, cloud)
 
 
 def _unseen_limbs(vertices: np.ndarray, figure: Figure, cloud: Cloud) -> float:

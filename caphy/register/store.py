@@ -12,6 +12,7 @@ from caphy.kept import digest, own_code
 from caphy.register.articulation import Figure, Placement
 from caphy.register.coarse import CoarseFit
 from caphy.register.rounds import State
+from caphy.register.starts import FirstFit
 
 
 class Store:
@@ -24,18 +25,20 @@ class Store:
         """A digest of all that a result depends on, caphy's code among it."""
         return "" if self.folder is None else digest(own_code(), *of)
 
-    def first(self, name: str, key: str) -> tuple[CoarseFit, float] | None:
-        """The coarse fit of a scan and the share it leaves unexplained, if kept."""
+    def first(self, name: str, key: str) -> FirstFit | None:
+        """The first fit of a scan, if kept."""
         kept = self._read(f"first/{name}.npz", key)
         if kept is None:
             return None
         fit = CoarseFit(Placement(kept["rotations"], kept["transl"]), kept["betas"], float(kept["misfit"]))
-        return fit, float(kept["unexplained"])
+        return FirstFit(fit, float(kept["far"]), float(kept["unseen"]), bool(kept["estimated"]))
 
-    def keep_first(self, name: str, key: str, fit: CoarseFit, unexplained: float) -> None:
-        """Keep a coarse fit."""
+    def keep_first(self, name: str, key: str, first: FirstFit) -> None:
+        """Keep a first fit."""
+        fit = first.fit
         arrays = {"rotations": fit.placement.rotations, "transl": fit.placement.transl, "betas": fit.betas}
-        numbers = {"misfit": np.array(fit.misfit), "unexplained": np.array(unexplained)}
+        told = {"misfit": fit.misfit, "far": first.far, "unseen": first.unseen, "estimated": first.estimated}
+        numbers = {name: np.array(number) for name, number in told.items()}
         self._write(f"first/{name}.npz", key, arrays | numbers)
 
     def state(self, key: str, initial: State) -> State | None:

@@ -104,8 +104,12 @@ def _flipped(scan: Scan) -> Finding | None:
 
 
 def _cut_short(scan: Scan) -> Finding | None:
-    """An OBJ lists its triangles after its vertices, so that one cut short lacks triangles."""
-    share = 1 - len(np.unique(scan.faces)) / len(scan.vertices)
+    """An OBJ lists its triangles after its vertices, so that one cut short lacks triangles.
+
+    Places count, not vertices: along seams of a texture some programs list a place twice, which is joined when read.
+    """
+    place = np.unique(scan.vertices, axis=0, return_inverse=True)[1].reshape(-1)
+    share = 1 - len(np.unique(place[scan.faces])) / (place.max() + 1)
     if share < UNUSED[0]:
         return None
     said = f"{100 * share:.0f} % of its vertices belong to no triangle; was the file cut short? Copy or export it again"

@@ -133,7 +133,7 @@ class ScanSet:
                 f"{where}: has {len(numbers)} labels for the {len(mesh.vertices)} vertices of {path.name}; they must "
                 "be in the order of that file's vertices"
             )
-        return translated(numbers, self.label_numbers, where)
+        return translated(numbers, self.label_numbers, where, not self.labels_alone)
 
 
 def read_labels(path: Path) -> np.ndarray:
@@ -156,15 +156,20 @@ def write_labels(path: Path, labels: np.ndarray) -> None:
     partial.replace(path)
 
 
-def translated(numbers: np.ndarray, meaning: Mapping[int, int] | None, where: Path) -> np.ndarray:
-    """Labels (V,) uint8 of a file's own numbers (V,)."""
+def translated(numbers: np.ndarray, meaning: Mapping[int, int] | None, where: Path, own: bool = True) -> np.ndarray:
+    """Labels (V,) uint8 of a file's own numbers (V,), of which scans.toml may tell the meaning."""
     known = {**{i: i for i in range(len(LABEL_NAMES))}, UNKNOWN: UNKNOWN} if meaning is None else meaning
     strange = sorted(set(np.unique(numbers).tolist()) - set(known))
     if strange:
         raise CaphyError(
             f"{where}: labels must be {', '.join(f'{i} {name}' for i, name in enumerate(LABEL_NAMES))} or {UNKNOWN} "
-            f"unknown, got {strange[0]}; say in {DESCRIPTION} what your numbers mean: "
-            "label_numbers = {body = [0, 1, 2], upper = [3], lower = [4]}"
+            f"unknown, got {strange[0]}; "
+            + (
+                f"say in {DESCRIPTION} what your numbers mean: "
+                "label_numbers = {body = [0, 1, 2], upper = [3], lower = [4]}"
+                if own
+                else f"what {DESCRIPTION} says of numbers goes for the set's own labels, not for those of --labels"
+            )
         )
     table = np.full(max(known) + 1, UNKNOWN, dtype=np.uint8)
     table[list(known)] = list(known.values())
@@ -215,7 +220,7 @@ def _description(folder: Path) -> dict[str, Any]:
 def _files(folder: Path, pattern: str | None) -> tuple[Path, ...]:
     try:
         found = folder.glob(pattern) if pattern else (p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
-        files = tuple(sorted(p for p in found if p.is_file()))
+        files = tuple(sorted((p for p in found if p.is_file()), key=lambda p: p.name))  # as poses are, whatever folders
     except (ValueError, NotImplementedError) as error:
         raise CaphyError(f"{folder / DESCRIPTION}: scans must be a pattern such as '*.ply': {error}") from error
     if not files:

@@ -156,6 +156,19 @@ def test_a_plan_that_cannot_be_leaves_its_folder_alone(wrong, tmp_path):
     assert not (tmp_path / "session").exists()
 
 
+def test_a_plan_that_its_motions_refuse_leaves_the_folder_to_another(tmp_path):
+    """As the message advises: fewer scans, or another person, in the same folder."""
+    (tmp_path / "clips").mkdir()
+    write_poses(procedural_motion(0, seconds=2.0), tmp_path / "clips" / "clip.npz")
+    plan = replace(PLAN, clips=str(tmp_path / "clips"), simulate=False, count=30)
+    with pytest.raises(CaphyError, match="add motions"):
+        capture(plan, tmp_path / "session")
+    capture(replace(plan, count=1, seed=8), tmp_path / "session")
+    capture(replace(plan, count=1, seed=8), tmp_path / "other")
+    one, two = (read_subject(tmp_path / name / "truth") for name in ("session", "other"))
+    assert np.array_equal(one.betas, two.betas)
+
+
 def test_simulated_cloth_is_at_rest_outside_the_body(session):
     body = default_body("medium")
     subject = make_subject(body, 5, "tank", "skirt", edge_length=0.045)

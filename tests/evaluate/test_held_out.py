@@ -13,7 +13,7 @@ from small_run import SPLIT, garments, small_run, write_networks
 from caphy.errors import CaphyError
 from caphy.evaluate.dressed import Subject
 from caphy.evaluate.evaluation import evaluate
-from caphy.evaluate.learnt_from import SCANS_DIGEST, require_same_scans
+from caphy.evaluate.learnt_from import INIT_SCANS, SCANS_DIGEST, learnt_from, require_same_scans
 from caphy.evaluate.rows import TEMPLATE, Row, given_row
 from caphy.io.bundle import MANIFEST
 from caphy.scan.mesh_files import MeshFile, write_ply
@@ -81,6 +81,16 @@ def test_a_scan_that_shows_one_garment_counts_for_that_one(tmp_path):
     assert "shows no lower garment" in found.document()["left_out"]["scan3, lower"]
 
 
+def test_what_it_went_on_from_is_told_by_its_record_too(world, tmp_path):
+    """Whatever became of the folder that it went on from."""
+    run, _ = world
+    write_networks(tmp_path / "went on", run, learnt_from=None, init="../../lost/upper")
+    folder = tmp_path / "went on" / "upper"
+    assert not list(learnt_from(folder))
+    (folder / "run.json").write_text(json.dumps({INIT_SCANS: ["b"]}))
+    assert list(learnt_from(folder)) == ["b"]
+
+
 @pytest.mark.parametrize(
     ("training", "refused"),
     [
@@ -88,6 +98,8 @@ def test_a_scan_that_shows_one_garment_counts_for_that_one(tmp_path):
         ({"scans": "run", SCANS_DIGEST: "a"}, ""),
         ({"scans": "run", SCANS_DIGEST: "b"}, "trained on other scans than"),
         ({"scans": "run"}, "for all that is kept beside it"),
+        ({"scans": None, INIT_SCANS: ["a"]}, ""),
+        ({"scans": None, INIT_SCANS: ["b"]}, "trained on other scans than"),
     ],
 )
 def test_an_avatar_tells_what_its_garments_learnt_from(tmp_path, training, refused):

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from quick_fit import OPTIONS, hurry
 from small_session import small_session
 
 from caphy.cli import main
+from caphy.commands import fit_stages
 from caphy.commands.fit_scans import cloth_shares, left_out, segment_scans
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -177,6 +178,25 @@ def test_killed_in_training_it_ends_the_same(finished, world):
             assert np.array_equal(value.numpy(), two.state_dict()[name].numpy()), name
     one, two = (json.loads((folder / "evaluation.json").read_text()) for folder in (run, broken))
     assert one["rows"][-1]["all"] == two["rows"][-1]["all"]
+
+
+def test_where_collisions_fail_the_avatar_is_made_of_what_was_before_them(finished, tmp_path, monkeypatch):
+    """Epochs before the failure have left networks, which are no result."""
+    run, _ = finished
+    for name in ("fabric", "collided"):
+        shutil.copytree(run / name, tmp_path / name)
+    shutil.copy(run / "segment.json", tmp_path)
+    assert [folder.parent.name for folder in fit_stages.final(tmp_path)] == ["collided", "collided"]
+
+    def fail(name, *_words):
+        raise CaphyError(f"caphy {name}: step 3: not finite")
+
+    monkeypatch.setattr(fit_stages, "_command", fail)
+    given = dict.fromkeys(field.name for field in fields(fit_stages.Plan))
+    with pytest.raises(CaphyError, match="not finite"):
+        fit_stages._collide(fit_stages.Plan(**{**given, "run": tmp_path, "collision_epochs": 1, "seed": 0}))
+    assert [folder.parent.name for folder in fit_stages.final(tmp_path)] == ["fabric", "fabric"]
+    assert (tmp_path / "collided" / "checkpoint.safetensors").is_file()
 
 
 def test_a_scan_that_turns_out_to_show_no_clothes_is_left_out(finished, world, tmp_path):

@@ -14,6 +14,7 @@ from caphy.body.model import BodyModel
 from caphy.body.surface import Surface
 from caphy.errors import CaphyError
 from caphy.io.procedural import procedural_motion
+from caphy.kept import digest
 from caphy.register import fit
 from caphy.register.articulation import Figure, Placement
 from caphy.register.cloud import Cloud
@@ -162,6 +163,48 @@ def test_a_scan_of_rubbish_is_named_and_the_rest_goes_on(fitted, taken, tmp_path
         fit_bodies(default_body(), [rubbish], Store(tmp_path))
 
 
+def test_specks_of_skin_on_a_dense_scan_are_not_taken_for_skin(fitted, taken, tmp_path, monkeypatch):
+    shutil.copytree(fitted[1].folder / "first", tmp_path / "first")
+    monkeypatch.setattr("caphy.register.fit.ROUNDS", 2)
+    cloud = taken[0].cloud
+    many = np.concatenate([cloud.points + 1e-4 * i for i in range(20)])
+    labels = np.ones(len(many), np.uint8)
+    labels[np.linalg.norm(many - cloud.points[cloud.skin][0], axis=1).argsort()[:60]] = 0
+    specks = Taken(Cloud("specks", many, np.tile(cloud.normals, (20, 1)), labels), taken[0].start)
+    fit = fit_bodies(default_body(), [taken[0], specks], Store(tmp_path))
+    assert fit.names == ("scan0",)
+    assert "are skin, must be 10 or more" in fit.failures["specks"]
+
+
+def test_an_estimate_that_a_plain_pose_beats_is_forgotten(person, monkeypatch):
+    """It would hold on to whatever the scan leaves open, in every round."""
+    poses = plain_poses()
+    monkeypatch.setattr("caphy.register.starts.plain_poses", lambda: [poses[1]])
+    sight = look(person, np.zeros((55, 3)), np.array([0.0, 1.0, 0.0]), 9, 2000)
+    cloud = Cloud("tracker lost", sight.points, sight.normals, sight.labels)
+    pose = np.zeros((55, 3))
+    pose[0, 1], pose[1:22, 0] = np.radians(160.0), np.radians(60.0)
+    body = default_body()
+    wrong = Taken(cloud, Placement.of(pose, np.zeros(3)))
+    first = first_fit(Figure.of(body), Surface.of(body.faces, body.v_template), cloud, wrong.start)
+    assert not first.estimated and first.unexplained < 0.06
+    (wearer,), _ = fit._joined(body, [wrong], {0: first})
+    (alone,), _ = fit._joined(body, [replace(wrong, start=None)], {0: first})
+    (told,), _ = fit._joined(body, [wrong], {0: replace(first, estimated=True)})
+    assert digest(wearer) == digest(alone) != digest(told)
+
+
+def test_a_cropped_scan_is_told_from_one_that_nothing_explains(person):
+    """Its points lie where the body is, but of the body much lies where it shows nothing."""
+    sight = look(person, np.zeros((55, 3)), np.array([0.0, 1.0, 0.0]), 9, 3000)
+    low = sight.points[:, 1] < np.quantile(sight.points[:, 1], 0.85)
+    cloud = Cloud("headless", sight.points[low], sight.normals[low], sight.labels[low])
+    body, failures = default_body(), {}
+    start = Taken(cloud, Placement.of(np.zeros((55, 3)), np.array([0.0, 1.0, 0.0])))
+    with pytest.raises(CaphyError, match=r"the head, forearms and feet .* if it is cropped give the whole scan"):
+        fit._first_fits(body, Surface.of(body.faces, body.v_template), [start], Store(None), fit.quiet, failures)
+
+
 def mesh_of(points: np.ndarray, labels: np.ndarray | None, name: str = "a") -> Scan:
     body = default_body()
     labels = None if labels is None else labels[: len(body.v_template)].astype(np.uint8)
@@ -203,6 +246,6 @@ def test_without_an_estimate_plain_poses_are_tried(person, monkeypatch):
     sight = look(person, pose, np.array([0.0, 1.0, 0.0]), 9, 2000)
     cloud = Cloud("turned", sight.points, sight.normals, sight.labels)
     body = default_body()
-    fit, unexplained = first_fit(Figure.of(body), Surface.of(body.faces, body.v_template), cloud, None)
-    assert unexplained < 0.06
-    assert angles(fit.placement, pose).mean() < 10.0
+    first = first_fit(Figure.of(body), Surface.of(body.faces, body.v_template), cloud, None)
+    assert first.unexplained < 0.06 and not first.estimated
+    assert angles(first.fit.placement, pose).mean() < 10.0

@@ -91,6 +91,14 @@ def test_a_sound_scan_passes():
     assert check_scan(_scan()) == []
 
 
+def test_places_that_a_texture_s_seams_list_twice_are_not_missing_triangles():
+    """As an OBJ's repeated lines are read: the first of each bears the triangles."""
+    vertices, faces, colours, labels = _person()
+    twice = np.arange(0, len(vertices), 3)
+    again = [np.concatenate([given, given[twice]]) for given in (vertices, colours, labels)]
+    assert check_scan(_scan(vertices=again[0], faces=faces, colours=again[1], labels=again[2])) == []
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_is_named(fault):
     make, severe, words = FAULTS[fault]

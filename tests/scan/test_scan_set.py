@@ -130,6 +130,9 @@ def test_labels_beside_the_scans_and_elsewhere(tmp_path):
     assert np.array_equal(ScanSet.read(tmp_path)[0].labels, np.array([0, 0, 0, 1, 2, 1])[numbers])
     write_labels(tmp_path / "other" / "one.npy", np.full(len(numbers), UNKNOWN))
     assert (ScanSet.read(tmp_path, tmp_path / "other")[0].labels == UNKNOWN).all()
+    np.save(tmp_path / "other" / "one.npy", numbers)
+    with pytest.raises(CaphyError, match=r"got 3; what scans\.toml says of numbers goes for the set's own labels"):
+        ScanSet.read(tmp_path, tmp_path / "other")[0]
 
 
 def _bad_nan(folder):
@@ -235,6 +238,18 @@ def test_poses_must_be_as_many_as_scans(tmp_path):
     write_poses(PoseSequence(np.zeros((3, 55, 3)), np.zeros((3, 3)), fps=1.0), tmp_path / "poses.npz")
     with pytest.raises(CaphyError, match="holds 3 poses for 1 scans"):
         ScanSet.read(tmp_path)
+
+
+def test_poses_go_by_the_scans_names_whatever_folders_they_lie_in(tmp_path):
+    _describe(tmp_path, 'unit = "m"\nup_axis = "y"\nscans = "*/*.ply"\nposes = "poses.npz"\n')
+    for place in ("day1/z", "day2/a"):
+        (tmp_path / place).parent.mkdir()
+        BOX.export(tmp_path / f"{place}.ply")
+    write_poses(
+        PoseSequence(np.zeros((2, 55, 3)), np.array([[1.0, 0, 0], [2.0, 0, 0]]), fps=1.0), tmp_path / "poses.npz"
+    )
+    scans = ScanSet.read(tmp_path)
+    assert scans.names == ("a", "z") and [scan.transl[0] for scan in scans] == [1.0, 2.0]
 
 
 def test_a_folder_without_description(tmp_path):
