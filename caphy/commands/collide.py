@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from caphy.commands.begun import OPTIONS, copied
+from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied
 from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
@@ -57,7 +57,8 @@ def main(arguments: list[str]) -> int | None:
 
 
 def prepare(options: Collide) -> Collider:
-    """A fine-tuning ready to run, and folders with all that an export needs beside the networks to come."""
+    """A fine-tuning ready to run, and folders with all that an export needs beside the networks to come; where it is to
+    be resumed they are there, and may be of other networks, which the checkpoint tells."""
     from caphy.commands.train import reopen
     from caphy.training.collide import Collider
 
@@ -71,11 +72,12 @@ def prepare(options: Collide) -> Collider:
     order = sorted(range(len(names)), key=lambda i: not _hidden(trainers[i]))
     folders, names = [options.trainings[i] for i in order], [names[i] for i in order]
     collider = Collider(options.output, names, [trainers[i] for i in order], options.epochs, options.seed)
-    for folder, name in zip(folders, names, strict=True):
-        (options.output / name).mkdir(parents=True, exist_ok=True)
-        for kept in ("garment.npz", "model.json", "run.json"):
-            shutil.copyfile(folder / kept, options.output / name / kept)
-        write_text(options.output / name / OPTIONS, copied(folder, options.output / name))
+    for folder in () if options.resume else folders:
+        own = options.output / folder.resolve().name
+        own.mkdir(parents=True, exist_ok=True)
+        for kept in (GARMENT, MODEL, RECORD):
+            shutil.copyfile(folder / kept, own / kept)
+        write_text(own / OPTIONS, copied(folder, own))
     print(f"from the inside out: {', '.join(names)}; {collider.schedule.steps} steps")
     return collider
 

@@ -97,7 +97,7 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
     write_text(options.run / RESULT, json.dumps(document, indent=1, allow_nan=False) + "\n")
     _write_page(options.run / PAGE, plots, sentences)
     print(f"written: {options.run / RESULT}, {options.run / PAGE}")
-    for kind in document["garments"]:
+    for kind in () if options.alternations else document["garments"]:  # which are trained under it by turns
         model, out = options.run / f"fabric_{kind}.json", options.run / ALTERNATED / kind
         train = following("train", f"{options.run / kind}.npz", "--scans", options.run, "--model", model, "-o", out)
         print(f"next: {train}")
@@ -216,8 +216,8 @@ def _network(folder: Path, subject: Subject, kind: str) -> Guess | None:
 
 
 def _trained_on(options: FabricCommand, subject: Subject, kind: str, model: Model, number: int) -> Guess | None:
+    from caphy.commands.onward import onward
     from caphy.commands.train import reopen
-    from caphy.training.onward import onward
 
     source = options.run / (TRAINED if number == 0 else ALTERNATED) / kind
     after = onward(reopen(source), model, options.steps, options.run / ALTERNATED / kind, seed=number + 1)

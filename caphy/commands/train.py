@@ -280,7 +280,7 @@ def _scans(options: Train, garment: Garment, objective: Objective, network: Garm
 def reopen(folder: Path) -> Trainer:
     """The training that 'caphy train' wrote into a folder, on its trained network; files it read must still be there.
 
-    For :func:`caphy.training.onward.onward` and for looking at losses; the trainer's own checkpoint is not loaded.
+    For :func:`caphy.commands.onward.onward` and for looking at losses; the trainer's own checkpoint is not loaded.
 
     Raises:
         CaphyError: the folder holds no training.
@@ -342,7 +342,13 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
     from caphy.io.procedural import procedural_motion
     from caphy.training.motions import find_poses
 
-    clips = find_poses(options.poses) or [procedural_motion(seed, 20.0, FPS) for seed in PROCEDURAL]
+    if options.poses:
+        clips = find_poses(options.poses)
+        if not clips:
+            given = ", ".join(map(str, options.poses))
+            raise CaphyError(f"{given}: steps too fast for a body leave no half second of motion; give others")
+    else:
+        clips = [procedural_motion(seed, 20.0, FPS) for seed in PROCEDURAL]
     extra = [procedural_motion(seed, 20.0, FPS) for seed in range(MADE_UP, MADE_UP + options.made_up)]
     if options.held_out:
         unseen = find_poses(options.held_out)

@@ -118,7 +118,7 @@ def _mean_clamped(start: Tensor, sampled: Tensor, strain: Tensor) -> Tensor:
     strain_there = zero * STRETCH_SAMPLED * (1 + 0.5 * zero * STRETCH_SAMPLED)
     before = (strain_there / torch.maximum(strain, strain_there).clamp_min(SMOOTHING**2)) ** 2
     before = before * (start + _mean_weight(strain_there) * rise)
-    changes = (_weight(strain) > zero) & (start * sampled < 0)
+    changes = (_weight(strain) > zero) & ((start * sampled < 0) | ((start == 0) & (sampled < 0)))
     falling = torch.where(changes, before, whole)
     rising = torch.where(changes, whole - before, torch.zeros_like(whole))
     return torch.where(start >= 0, falling, torch.where(sampled > 0, rising, torch.zeros_like(whole)))

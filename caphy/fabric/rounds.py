@@ -151,7 +151,7 @@ def fit_fabric(
         except CaphyError:
             if not history:
                 raise
-            values = history[-1].values  # and nothing has settled, so that the tables which still moved are not told
+            values, change = history[-1].values, dict.fromkeys(numbers.names, np.inf)  # nothing has settled
             break
         energy = np.sum([one.energy for one in said], axis=0)
         median = float(np.median([one.median for one in said]))

@@ -22,9 +22,11 @@ def stiffness(potential: Potential, fps: float) -> csc_array:
     """Mean stiffness against displacements in x, y and z at the template, (V, V) [N/m]: elasticity and inertia.
 
     The average of the three diagonal blocks of the potential's Hessian, contact left out: it stiffens what is stretched
-    between vertices and leaves cheap what moves them together. It is positive definite because inertia is.
+    between vertices and leaves cheap what moves them together. It is positive definite because inertia is, which it
+    counts where the model is without it, too.
     """
-    free = Potential(_without_contact(potential.model), potential.cloth)
+    model = _without_contact(potential.model)
+    free = Potential(model if "inertia" in model.effects else model.with_effect("inertia"), potential.cloth)
     x = torch.from_numpy(np.asarray(potential.cloth.vertices, dtype=np.float64))
     still = BodyState(x, torch.zeros_like(x), torch.zeros_like(x), x)
     hessian = Hessian(free)

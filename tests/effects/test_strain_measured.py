@@ -51,6 +51,21 @@ def test_energy_is_never_negative(name: str) -> None:
     assert float(energy_density((uu[possible], vv[possible], uv[possible]), table).min()) >= 0
 
 
+def test_a_stiffness_of_nothing_that_falls_below_it_stays_nothing() -> None:
+    """As one next to nothing does, and as the kernels have it."""
+    table = fabric("gray-interlock").stretching.copy()
+    table[1:, 1] = -5.0
+    cloth = irregular_cloth()
+    there, found = moment(cloth, noise=0.004), []
+    for rest in (0.0, 1e-9, -1e-9):
+        table[0, 1] = rest
+        potential = Potential(Model(0.2, {"strain_measured": {"stretching": table}}), cloth)
+        (energy,) = potential.energies(there.x, None, None).values()
+        assert float(potential.gradient(there.x)[0].sum()) == pytest.approx(float(energy.sum()), rel=1e-9)
+        found.append(float(energy.sum()))
+    assert found == pytest.approx([found[1]] * 3, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", fabric_names())
 def test_stress_does_not_jump(name: str) -> None:
     """All ways around at strains within and beyond the table: over a tenth of the way stress changes by a tenth."""

@@ -41,7 +41,7 @@ def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
     assert main(["fabric", str(run), *start, "--rounds", "2", "--mesh-corrections", "0"]) == 0
     told = capsys.readouterr().out
     assert "left out: bare" in told
-    assert f"--model {run / 'fabric_upper.json'}" in told
+    assert f"next: caphy train {run / 'upper.npz'}" in told and f"--model {run / 'fabric_upper.json'}" in told
     model = Model.load(run / "fabric_upper.json")
     assert model == Model.load(run / "fabric.json")  # of a single garment the record is a model as well
     assert model.density == 0.204

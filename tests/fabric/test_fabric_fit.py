@@ -274,6 +274,23 @@ def test_a_round_that_loses_the_cloth_is_taken_back(scans, monkeypatch, bearable
         assert not any(Certainty.of(fitted).determined.values())
 
 
+def test_what_fails_once_the_mesh_is_told_has_not_settled(scans, monkeypatch):
+    """Rounds had, without the mesh's error, which no interval then knows."""
+    look = _Scans.look
+
+    def fails(self, values, number):
+        if self.mesh:
+            raise CaphyError("two scans are left")
+        return look(self, values, number)
+
+    monkeypatch.setattr(_Scans, "look", fails)
+    monkeypatch.setattr(_Scans, "correct", lambda self, _: self.mesh.update({"a": np.zeros(3)}))
+    monkeypatch.setattr("caphy.fabric.rounds.SETTLED", np.inf)
+    fitted = fit_fabric(scans, PLANTED, rounds=3, corrections=1)
+    assert [one.corrected for one in fitted.rounds] == [False]
+    assert not fitted.settled and not any(Certainty.of(fitted).determined.values())
+
+
 def test_no_stretch_of_the_fabric_found_yields_energy():
     """Scans that ask for a soft sheet with an unchanged coupling: each row's matrix stays positive definite."""
     numbers = Coefficients.of(fabric_model("gray-interlock"))

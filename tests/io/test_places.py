@@ -11,11 +11,11 @@ import pytest
 
 from caphy.capture import session
 from caphy.cli import main
+from caphy.commands import onward
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder, write_text
 from caphy.scan.scan_set import write_scan_set
-from caphy.training import onward
 from caphy.training.loop import forget_later
 
 
@@ -60,8 +60,8 @@ def test_a_text_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
         ("truth/subject.json", None, lambda folder: session._subject(session.Plan(), folder / "truth")),
         ("scans.toml", None, lambda folder: write_scan_set(folder, [], "somebody")),
         ("metrics.jsonl", '{"step": 1}\n{"step": 2}\n', lambda folder: forget_later(folder / "metrics.jsonl", 1)),
-        ("run.json", '{"steps": 5}', lambda folder: onward._record(folder, folder, Model(0.2), 1, 0)),
-        ("model.json", None, lambda folder: onward._record(folder, folder, Model(0.2), 1, 0)),
+        ("run.json", '{"steps": 5}', lambda folder: onward._record(folder, folder, Model(0.2), {"steps": 1})),
+        ("model.json", None, lambda folder: onward._record(folder, folder, Model(0.2), {"steps": 1})),
     ],
 )
 def test_killed_amid_a_small_file_there_is_the_former_or_none(name, former, write, tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from caphy.body.bundled import default_body
 from caphy.cli import main
 from caphy.commands.collide import Collide, prepare
 from caphy.effects.cloth import Cloth
+from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
 from caphy.errors import CaphyError
@@ -193,6 +195,16 @@ def test_the_command_asks_the_scans_what_is_worn_inside(tmp_path, hidden, device
     assert f"from the inside out: {hidden}, {other}; 4 steps" in capsys.readouterr().out
     assert main(arguments) == 2
     assert "--resume" in capsys.readouterr().err
+    trained = (tmp_path / "out" / hidden / "model.json").read_bytes()
+    assert main([*arguments, "--resume"]) == 0
+    for part in ("upper", "lower"):
+        shutil.copytree(tmp_path / part, tmp_path / "heavy" / part)
+        model = Model.load(tmp_path / part / "model.json").with_effect("heavy_hem")
+        (tmp_path / "heavy" / part / "model.json").write_text(model.to_json())
+    heavy = ["collide", *(str(tmp_path / "heavy" / part) for part in ("upper", "lower")), *arguments[3:]]
+    assert main([*heavy, "--resume"]) == 2
+    assert "of other networks, models" in capsys.readouterr().err
+    assert (tmp_path / "out" / hidden / "model.json").read_bytes() == trained
     if hidden == "lower":
         fine_tuned = [str(tmp_path / "out" / part) for part in ("upper", "lower")]
         assert main(["export", *fine_tuned, "-o", str(tmp_path / "avatar")]) == 0

@@ -11,6 +11,7 @@ from small_world import swaying
 
 from caphy.body.bundled import default_body
 from caphy.body.kinematics import joint_positions, joint_transforms
+from caphy.cli import main
 from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence, write_poses
@@ -68,6 +69,14 @@ def test_a_tracking_error_cuts_a_clip():
     parts = continuous_parts(PoseSequence(poses, np.zeros((90, 3)), 30.0, source="clip"))
     assert [len(part) for part in parts] == [40, 50] and parts[1].source == "clip#40-90"
     assert continuous_parts(swaying(9))[0].source == "swaying 0"
+
+
+def test_motions_that_are_all_jumps_are_refused_and_none_made_up(tmp_path, capsys):
+    clip = swaying(24)
+    transl = clip.transl + 3.0 * (np.arange(24) >= 12)[:, None]
+    write_poses(replace(clip, transl=transl), tmp_path / "jump.npz")
+    assert main(["train", "tshirt", str(tmp_path / "jump.npz"), "--steps", "1", "-o", str(tmp_path / "out")]) == 2
+    assert "jump.npz: steps too fast for a body leave no half second of motion" in capsys.readouterr().err
 
 
 def test_a_part_is_known_by_its_frames(tmp_path):

@@ -159,6 +159,16 @@ def test_a_step_in_the_head_is_a_newton_step_of_the_linear_cloth(make_trainer):
     assert isinstance(make_trainer("other").model, Learner)
 
 
+def test_cloth_without_inertia_is_preconditioned_as_with_it(make_trainer):
+    """Nothing else holds what is not attached: without it offsets could but move rigidly."""
+    potential = make_trainer().objective.potential
+    still = replace(
+        potential.model, effects={name: given for name, given in potential.model.effects.items() if name != "inertia"}
+    )
+    with_it, without = (stiffness(Potential(model, potential.cloth), 30.0) for model in (potential.model, still))
+    np.testing.assert_allclose(with_it.toarray(), without.toarray(), rtol=1e-12)
+
+
 def test_a_frame_of_high_potential_counts_for_less():
     """Slopes of 1 up to zero, a half at the usual potential, and as 1 / potential beyond; no jump in between."""
     potential = torch.tensor([-0.2, -1e-9, 1e-9, 0.5, 4.5], dtype=torch.float64, requires_grad=True)

@@ -18,6 +18,7 @@ from small_scans import posed, scan, supervised_trainer, worn, write_run
 from small_world import swaying, tube
 
 from caphy.cli import main
+from caphy.commands.onward import onward
 from caphy.commands.train import reopen
 from caphy.effects.model import Model
 from caphy.effects.presets import snug_model
@@ -27,7 +28,6 @@ from caphy.kept import digest
 from caphy.network.files import load_network
 from caphy.register.points import read_points
 from caphy.training.loop import METRICS, NETWORK
-from caphy.training.onward import onward
 from caphy.training.validate import static_drape
 
 STEPS = 40
@@ -159,6 +159,38 @@ def test_goes_on_under_another_physics(world):
     onward(again, snug_model(), 3, world / "heavy").run()  # other physics in the same folder: from the start of its own
     assert json.loads((world / "heavy" / METRICS).read_text().splitlines()[-1])["step"] == 3
     assert reopen(world / "heavy").objective.potential.model == snug_model()
+
+
+def test_going_on_in_a_folder_of_another_depth_finds_its_files(world):
+    """Also what was trained in the run's own folder, where paths are told from there."""
+    inside = world / "run" / "train" / "lower"
+    if not inside.exists():
+        assert train(world, "run/train/lower", "--steps", "2") == 0
+    folder = world / "run" / "fabric" / "1" / "lower"
+    onward(reopen(inside), snug_model(), 2, folder).run()
+    assert reopen(folder).scans is not None
+
+
+def test_what_went_on_from_another_network_is_not_gone_on_with(world):
+    """Of the same name and as many steps: the one before has been trained further since."""
+    first, further = world / "first" / "lower", world / "further" / "lower"
+    for folder, name in ((first, "alone"), (further, "with")):
+        shutil.copytree(world / name, folder)
+    onward(reopen(first), snug_model(), 2, world / "on").run()
+    assert onward(reopen(first), snug_model(), 2, world / "on").progress.step == 2
+    assert onward(reopen(first), snug_model(), 2, world / "on", learning_rate=1e-4).progress.step == 0
+    onward(reopen(first), snug_model(), 2, world / "on").run()
+    after = onward(reopen(further), snug_model(), 2, world / "on")
+    assert after.progress.step == 0
+    assert torch.equal(after.network.gru.weight_hh_l0, load_network(further / NETWORK).gru.weight_hh_l0)
+
+
+def test_a_training_of_another_command_is_not_overwritten(world):
+    shutil.copytree(world / "with", world / "mine")
+    before = (world / "mine" / NETWORK).read_bytes()
+    with pytest.raises(CaphyError, match="mine: holds a training that 'caphy train' began"):
+        onward(reopen(world / "alone"), snug_model(), 2, world / "mine")
+    assert (world / "mine" / NETWORK).read_bytes() == before and (world / "mine" / METRICS).is_file()
 
 
 @pytest.mark.parametrize(
