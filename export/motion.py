@@ -39,13 +39,14 @@ class DressedMotion:
 
 
 def dressed_motion(bundle: AvatarBundle, motion: PoseSequence) -> DressedMotion:
-    """The avatar on a motion, resampled to its frame rate; raises CaphyError where the world is a camera's."""
+    """The avatar on a motion, resampled to its frame rate, root for root; raises CaphyError where the world is a
+    camera's."""
     if motion.frame == "camera":
         raise CaphyError(
             f"{motion.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; "
             "convert them to world coordinates first"
         )
-    motion = motion.to_y_up().resample(bundle.fps)
+    motion = motion.to_y_up().about(bundle.joints[0]).resample(bundle.fps)
     poses, transl = motion.poses.astype(np.float32), motion.transl.astype(np.float32)
     vertices = {}
     for garment in bundle.garments:

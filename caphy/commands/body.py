@@ -108,6 +108,8 @@ def _render(command: Render) -> None:
     from caphy.report.camera import Camera
     from caphy.report.render import Shape, contact_sheet, render, write_png
 
+    if command.size < 16:
+        raise CaphyError(f"--size must be at least 16, got {command.size}")
     body = load_body(command.body)
     shape = Shape(body.v_template, body.faces)
     views = {"front": 0, "its left": 90, "back": 180, "its right": 270}

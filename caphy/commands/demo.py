@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -47,10 +48,12 @@ def main(arguments: list[str]) -> None:
     from service.client import Client
     from service.settings import BUNDLED_AVATARS
 
+    if not 0 < command.seconds < float("inf"):
+        raise CaphyError(f"--seconds must be positive and finite, got {command.seconds:g}")
     writable_folder(command.out).mkdir(parents=True, exist_ok=True)
     folder = bundled(command.avatar) if command.avatar else BUNDLED_AVATARS / "default"
     bundle = read_bundle(folder)
-    motion = _motion(command, bundle.fps)
+    motion = _motion(command, bundle.fps).about(bundle.joints[0])
     with _service(folder) as url:
         client = Client(url)
         avatar = client.avatars()[0]["id"]
@@ -113,7 +116,8 @@ def _service(avatars: Path) -> Iterator[str]:
     """A service of its own process on a free loopback port; stopped at the end."""
     command = [sys.executable, "-m", "caphy.cli", "serve", "--avatars", str(avatars)]
     command += ["--host", "127.0.0.1", "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    own = {name: value for name, value in os.environ.items() if not name.upper().startswith("CAPHY_")}  # keys, limits
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=own)
     try:
         yield _address(process)
     finally:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -55,14 +55,25 @@ def main(arguments: list[str]) -> None:
     command = replace(command, runs=tuple(map(bundled, command.runs)))
     if command.format == "bundle" and command.poses is not None:
         raise CaphyError("--poses is a motion for other programs; say which with --format glb, usd, pc2 or obj")
+    again = command.format == "bundle" and len(command.runs) == 1 and (command.runs[0] / MANIFEST).is_file()
+    if again or command.format != "bundle":
+        _refuse_of_trainings(command)
     if command.format == "bundle":
         require_place(command.out)
-    if command.format == "bundle" and len(command.runs) == 1 and (command.runs[0] / MANIFEST).is_file():
+    if again:
         _export_again(command)
     elif command.format == "bundle":
         _export_runs(command)
     else:
         _export_bundle(command)
+
+
+def _refuse_of_trainings(command: Export) -> None:
+    """Options that say what an avatar is made of say nothing of one that is made."""
+    usual = {field.name: field.default for field in fields(Export)}
+    for name in ("licence", "body", "motions"):
+        if getattr(command, name) != usual[name]:
+            raise CaphyError(f"--{name} belongs to the export of trainings into an avatar; this one is made already")
 
 
 def _export_again(command: Export) -> None:

@@ -55,8 +55,8 @@ def main(arguments: list[str]) -> None:
     command = tyro.cli(Simulate, args=arguments, prog="caphy simulate")
     if command.substeps < 1:
         raise CaphyError(f"--substeps must be at least 1, got {command.substeps}")
-    if command.seconds is not None and not command.seconds > 0:
-        raise CaphyError(f"--seconds must be positive, got {command.seconds:g}")
+    if command.seconds is not None and not 0 < command.seconds < float("inf"):
+        raise CaphyError(f"--seconds must be positive and finite, got {command.seconds:g}")
     for path in (command.out, command.render):
         if path is not None:
             writable_file(path).parent.mkdir(parents=True, exist_ok=True)

@@ -43,8 +43,8 @@ def main(arguments: list[str]) -> None:
     """Entry point of ``caphy validate``."""
     options = tyro.cli(Validate, args=arguments, prog="caphy validate")
     settings = _read(options.run / "run.json")
-    if not options.seconds > 0.1:
-        raise CaphyError(f"--seconds must be more than 0.1, got {options.seconds}")
+    if not 0.1 < options.seconds < float("inf"):
+        raise CaphyError(f"--seconds must be more than 0.1 and finite, got {options.seconds}")
 
     import numpy as np
     import torch

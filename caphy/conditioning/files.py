@@ -49,9 +49,9 @@ def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> Pose
     wanted = conditioner.settings.frame
     if wanted != sequence.frame:
         raise CaphyError(f"{sequence.source}: is in {sequence.frame} axes, conditioning was set up for {wanted}")
-    seen, pelvis = as_seen(sequence), conditioner.body.joints[0]
-    transl = seen.transl + seen.pelvis - pelvis  # of the same pelvis on the avatar's body
-    frames = condition(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, transl)
+    pelvis = conditioner.body.joints[0]
+    seen = as_seen(sequence).about(pelvis)
+    frames = condition(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, seen.transl)
     if not frames:
         raise CaphyError(f"{sequence.source}: nobody was seen in it, so there is no motion")
     notes = tuple(dict.fromkeys(note for frame in frames for note in frame.notes))

@@ -171,7 +171,8 @@ def components(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def consistent_winding(faces: np.ndarray) -> np.ndarray:
-    """Which faces (F,) to turn over so that neighbours agree, keeping each component's majority as it is."""
+    """Which faces (F,) to turn over so that neighbours agree, keeping each component's majority as it is, and of two
+    halves one."""
     faces = np.asarray(faces)
     directed = half_edges(faces)
     key = np.sort(directed, axis=1)
@@ -186,7 +187,8 @@ def consistent_winding(faces: np.ndarray) -> np.ndarray:
     turned = np.stack([f + count, np.where(agree, g + count, g)], axis=1)
     label = connected_labels(2 * count, np.concatenate([kept, turned]))
     size = np.bincount(label[:count], minlength=2 * count)
-    return size[label[:count]] < size[label[count:]]
+    kept, turned = label[:count], label[count:]
+    return (size[kept] < size[turned]) | ((size[kept] == size[turned]) & (kept > turned))
 
 
 def boundary_edges(faces: np.ndarray) -> np.ndarray:

@@ -132,6 +132,11 @@ def _alignments(bones: dict[str, int], rest: np.ndarray, joints: np.ndarray, sou
         turns[INDEX[name]] = _smallest_turn(target, given, f"{source}: bone {bone!r}")
     for side in ("left", "right"):
         shin = rest[bones[f"{side[0]}foot"]] - rest[bones[f"{side[0]}tibia"]]
+        if (length := float(np.linalg.norm(shin))) > 0 and -shin[1] < 0.5 * length:
+            raise CaphyError(
+                f"{source}: its shins point {(shin / length).round(2)} in the zero pose, which must stand with legs "
+                "down and y up; if z is up in the file say so (--up z)"
+            )
         splay = _smallest_turn(np.array([0.0, -1.0, 0.0]), shin, f"{source}: bone '{side[0]}tibia'")
         turns[[INDEX[f"{side}_ankle"], INDEX[f"{side}_foot"]]] = splay
         turns[INDEX[f"{side}_wrist"]] = turns[INDEX[f"{side}_elbow"]]

@@ -32,6 +32,7 @@ def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment:
     Raises:
         CaphyError: the measurement has no poses, or the graph cannot be run.
     """
+    measurement = measurement.about(bundle.joints[0])
     motion, before = _motion(measurement)
     assert measurement.poses is not None and measurement.transl is not None
     resampled = motion.resample(bundle.fps)

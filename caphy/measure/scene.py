@@ -179,8 +179,11 @@ def _motion(measurement: Measurement, garment: Garment, body: BodyModel | None) 
         return MeshBody(measurement.body_vertices, measurement.body_faces, measurement.fps)
     if measurement.poses is None or measurement.transl is None:
         return None
-    poses = PoseSequence(measurement.poses, measurement.transl, measurement.fps, source=measurement.source)
-    return BodyMotion(default_body() if body is None else body, poses, garment, measurement.betas)
+    body = default_body() if body is None else body
+    there = measurement.about(body.joints[0])
+    assert there.poses is not None and there.transl is not None
+    poses = PoseSequence(there.poses, there.transl, there.fps, source=there.source)
+    return BodyMotion(body, poses, garment, there.betas)
 
 
 def _pins(measurement: Measurement, count: int) -> tuple[np.ndarray | None, Callable[[float], Tensor] | None]:

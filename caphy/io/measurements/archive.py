@@ -83,7 +83,7 @@ def y_up(measurement: Measurement) -> Measurement:
     for prefix in ("", "preroll_"):
         poses, transl = getattr(measurement, f"{prefix}poses"), getattr(measurement, f"{prefix}transl")
         if poses is not None:
-            pelvis = _pelvis(measurement)
+            pelvis = _pelvis(measurement) if measurement.pelvis is None else measurement.pelvis
             motion = PoseSequence(poses, transl, measurement.fps, up_axis="z", source=measurement.source).to_y_up(
                 pelvis
             )

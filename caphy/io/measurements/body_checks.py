@@ -42,6 +42,7 @@ def require_body(measurement: Measurement, axes_stated: bool) -> None:
     if measurement.poses is None or measurement.transl is None:
         return
     PoseSequence(measurement.poses, measurement.transl, measurement.fps, source=measurement.source)  # no degrees
+    measurement = measurement.about(_bundled_pelvis())
     joints = _joints(measurement)
     if not axes_stated:
         _require_upright(measurement, joints)
@@ -50,6 +51,12 @@ def require_body(measurement: Measurement, axes_stated: bool) -> None:
     _require_preroll(measurement, joints)
     _require_worn(measurement)
     _require_one_body(measurement, joints)
+
+
+def _bundled_pelvis() -> np.ndarray:
+    from caphy.body.bundled import default_body
+
+    return default_body().joints[0]
 
 
 def _joints(measurement: Measurement) -> np.ndarray:

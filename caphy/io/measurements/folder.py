@@ -52,7 +52,7 @@ def read_folder(folder: Path) -> tuple[Measurement, bool]:
         rest, faces = _mesh(folder / description["rest"])
         arrays |= {"rest_vertices": rest, "faces": faces}
     if "poses" in description:
-        arrays |= _motion(folder / description["poses"], float(description["fps"]))
+        arrays |= _motion(folder / description["poses"], float(description["fps"]), description.get("up_axis") == "z")
     files = _frames(folder, description)
     meshes = {frame: _mesh(path) for frame, path in files.items()}
     registered = bool(description.get("registered", "rest" in description))
@@ -169,7 +169,7 @@ def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
         raise CaphyError(f"{path}: must be an npz of plain arrays, could not be read ({error})") from error
     told = {"vertices", "points", "offsets", "frame_index"}
     told |= {"rest_vertices", "faces"} if "rest" in description else set()
-    told |= {"poses", "transl"} if "poses" in description else set()
+    told |= {"poses", "transl", "pelvis"} if "poses" in description else set()
     if doubled := sorted(set(arrays) & told):
         raise CaphyError(
             f"{path}: has {', '.join(doubled)}, which other files of the folder tell: each frame's PLY or OBJ by its "
@@ -183,13 +183,15 @@ def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
     return arrays
 
 
-def _motion(path: Path, fps: float) -> dict[str, Any]:
+def _motion(path: Path, fps: float, z_up: bool) -> dict[str, Any]:
+    """The motion in a file, which says what its axes are, with the cloth's axis up."""
     from caphy.io.poses import read_poses
 
     motion = read_poses(path)
     if abs(motion.fps - fps) > 1e-6:
         motion = motion.resample(fps)
-    given: dict[str, Any] = {"poses": motion.poses, "transl": motion.transl}
+    motion = motion.to_z_up() if z_up else motion
+    given: dict[str, Any] = {"poses": motion.poses, "transl": motion.transl, "pelvis": motion.pelvis}
     return given if motion.betas is None else given | {"betas": motion.betas}
 
 

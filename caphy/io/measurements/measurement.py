@@ -52,6 +52,8 @@ class Measurement:
     """SMPL-X joint rotations (T, 55, 3) [rad]."""
     transl: np.ndarray | None = None
     """Translation added after posing (T, 3) [m]."""
+    pelvis: np.ndarray | None = None
+    """Where the pelvis of the body that ``transl`` refers to rests (3,) [m]; that of the body in use unless given."""
     betas: np.ndarray | None = None
     """Shape of the body (B,)."""
     preroll_poses: np.ndarray | None = None
@@ -141,6 +143,14 @@ class Measurement:
         """The same measurement with further remarks."""
         return replace(self, notes=(*self.notes, *notes))
 
+    def about(self, pelvis: np.ndarray) -> Measurement:
+        """The same with ``transl`` as a body whose pelvis rests at ``pelvis`` (3,) [m] is moved by."""
+        if self.pelvis is None:
+            return self
+        given = {name: getattr(self, name) for name in ("transl", "preroll_transl")}
+        moved = {name: value + self.pelvis - pelvis for name, value in given.items() if value is not None}
+        return replace(self, pelvis=None, **moved)
+
     def every(self, step: int) -> Measurement:
         """The first and each further ``step``-th frame, at a rate so many times lower; the preroll likewise."""
         kept = np.arange(0, len(self), step)
@@ -217,6 +227,7 @@ class Measurement:
             "attached": (v,),
             "poses": (t, JOINT_COUNT, 3),
             "transl": (t, 3),
+            "pelvis": (3,),
             "betas": (None,),
             "preroll_poses": (None, JOINT_COUNT, 3),
             "preroll_transl": (None if self.preroll_poses is None else len(self.preroll_poses), 3),
@@ -258,7 +269,7 @@ class Measurement:
         raise self.error(f"{name} must have shape {wanted}, got {value.shape}{hint}")
 
     def _require_values(self) -> None:
-        for name in ("points", "rest_vertices", "material", "weights", "poses", "transl", "body_vertices"):
+        for name in ("points", "rest_vertices", "material", "weights", "poses", "transl", "pelvis", "body_vertices"):
             self._require_finite(name)
         for name in ("layer_thickness", "attached", "betas", "preroll_poses", "preroll_transl", "pinned_positions"):
             self._require_finite(name)

@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -57,8 +57,8 @@ def is_canonical(archive: Archive) -> bool:
     return SCHEMA in archive.text("header")
 
 
-def read_canonical(archive: Archive) -> PoseSequence:
-    """The sequence in a file of :func:`write_poses`; raises :class:`CaphyError`."""
+def read_canonical(archive: Archive, fps: float | None = None, up: Literal["y", "z"] | None = None) -> PoseSequence:
+    """The sequence in a file of :func:`write_poses`; ``fps`` [Hz] overrides the file's. Raises :class:`CaphyError`."""
     try:
         header = json.loads(archive.text("header"))
         version, joints = header["version"], tuple(header["joints"])
@@ -70,6 +70,11 @@ def read_canonical(archive: Archive) -> PoseSequence:
         raise CaphyError(f"{archive.path}: schema version must be {VERSION}, got {version}; update caphy")
     if joints != JOINT_NAMES:
         raise CaphyError(f"{archive.path}: joints must be SMPL-X's 55 in order, got {len(joints)} others")
+    if up not in (None, fields["up_axis"]):
+        raise CaphyError(f"{archive.path}: says that {fields['up_axis']} is up, which stands; got up = {up!r}")
+    if fps is not None and fps != fields["fps"]:
+        notes = (*notes, f"frame rate {fps:g} replaces the file's {fields['fps']:g}")
+        fields["fps"] = fps
     return PoseSequence(
         poses=archive.floats("poses"),
         transl=archive.floats("transl"),

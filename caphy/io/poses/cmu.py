@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from caphy.io.poses.asfamc import read_amc
 from caphy.io.poses.bvh import read_bvh
-from caphy.io.poses.sequence import PoseSequence
+from caphy.io.poses.sequence import Y_UP_FROM_Z_UP, PoseSequence
 from caphy.io.poses.skeleton import SkeletonMotion
 from caphy.io.retarget import retarget
 from caphy.io.retarget_rest import default_rest
@@ -20,14 +20,31 @@ CALIBRATION_JOINTS: Final = 6
 """At most so many joints are bent in the T-pose that the cgspeed conversion puts before the first frame."""
 
 
-def read_cmu_bvh(path: Path, fps: float | None = None) -> PoseSequence:
-    """A clip of the CMU database as BVH; ``fps`` [Hz] overrides the file's. Raises :class:`CaphyError`."""
-    return retarget(without_calibration_frame(read_bvh(path, fps)), default_rest())
+def read_cmu_bvh(path: Path, fps: float | None = None, up: Literal["y", "z"] | None = None) -> PoseSequence:
+    """A clip of the CMU database as BVH; ``fps`` [Hz] overrides the file's, y is ``up`` unless said otherwise.
+
+    Raises :class:`CaphyError`.
+    """
+    return retarget(without_calibration_frame(_upright(read_bvh(path, fps), up)), default_rest())
 
 
-def read_cmu_amc(path: Path, fps: float | None = None) -> PoseSequence:
+def read_cmu_amc(path: Path, fps: float | None = None, up: Literal["y", "z"] | None = None) -> PoseSequence:
     """A clip of the CMU database as AMC with its ASF beside it; ``fps`` [Hz] must be given."""
-    return retarget(read_amc(path, fps), default_rest())
+    return retarget(_upright(read_amc(path, fps), up), default_rest())
+
+
+def _upright(motion: SkeletonMotion, up: Literal["y", "z"] | None) -> SkeletonMotion:
+    """The motion with y up, skeleton and world turned alike."""
+    if up != "z":
+        return motion
+    turn = Y_UP_FROM_Z_UP
+    return replace(
+        motion,
+        offsets=motion.offsets @ turn.T,
+        tips=motion.tips @ turn.T,
+        rotations=turn @ motion.rotations @ turn.T,
+        root=motion.root @ turn.T,
+    )
 
 
 def without_calibration_frame(motion: SkeletonMotion) -> SkeletonMotion:

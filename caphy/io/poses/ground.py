@@ -59,7 +59,7 @@ def on_ground(sequence: PoseSequence, joints: np.ndarray, sole: float) -> PoseSe
     the correction runs straight from take-off to landing, so that jumps keep their height. The translation is
     re-expressed for this body's pelvis, since a translation means nothing without it.
     """
-    here = replace(sequence, transl=sequence.transl + sequence.pelvis - joints[0], pelvis=joints[0])
+    here = sequence.about(joints[0])
     lowest = sole_heights(here, joints, sole).min(axis=1)
     stands = np.flatnonzero(~in_flight(here))
     if len(stands):

@@ -48,15 +48,15 @@ def _read(path: Path, fps: float | None, up: Literal["y", "z"] | None, person: i
     match path.suffix.lower():
         case ".npz":
             archive = Archive(path)
-            return read_canonical(archive) if is_canonical(archive) else read_smplx_npz(archive, fps, up)
+            return read_canonical(archive, fps, up) if is_canonical(archive) else read_smplx_npz(archive, fps, up)
         case ".bvh":
             from caphy.io.poses.cmu import read_cmu_bvh
 
-            return read_cmu_bvh(path, fps)
+            return read_cmu_bvh(path, fps, up)
         case ".amc":
             from caphy.io.poses.cmu import read_cmu_amc
 
-            return read_cmu_amc(path, fps)
+            return read_cmu_amc(path, fps, up)
         case ".pt" | ".pkl" | ".npy":
             return _read_estimated(path, fps, person)
     raise CaphyError(f"{path}: pose files end in {', '.join(SUFFIXES)}; got {path.suffix or 'no suffix'}")

@@ -166,6 +166,10 @@ class PoseSequence:
         poses, transl = interpolate(self.poses, self.transl, np.arange(len(self)), time)
         return replace(self, poses=poses, transl=transl, fps=fps)
 
+    def about(self, pelvis: np.ndarray) -> PoseSequence:
+        """The same motion as told for a body whose pelvis rests at ``pelvis`` (3,) [m], root for root."""
+        return replace(self, transl=self.transl + self.pelvis - pelvis, pelvis=np.asarray(pelvis, dtype=np.float64))
+
     def turned(self, rotation: np.ndarray) -> PoseSequence:
         """The motion seen after a turn ``rotation`` (3, 3) of the world about its origin.
 
