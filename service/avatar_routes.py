@@ -10,13 +10,25 @@ from fastapi.requests import HTTPConnection
 
 from caphy.io.bundle import AvatarBundle
 from service import mesh
+from service.answers import PartsResponse
 from service.avatars import Avatar
 from service.errors import Problem
+from service.guard import Entered
+from service.settings import Settings
 
 AvatarId = Annotated[str, Path(description="an id that GET /avatars lists")]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {
     404: {"description": "no such avatar or garment", "content": {"application/problem+json": {}}}
 }
+LIMITS: dict[int | str, dict[str, Any]] = {
+    status: {"description": text, "content": {"application/problem+json": {}}}
+    for status, text in {
+        413: "the answer has more bytes than may be held",
+        429: "one client asks for too much; `retry-after` says when to try again",
+        503: "the service is at its limit; `retry-after` says when to try again",
+    }.items()
+}
+"""Of answers without a request's body."""
 
 
 def find_avatar(request: HTTPConnection, identifier: str) -> Avatar:
@@ -51,21 +63,26 @@ def add_avatars(app: FastAPI) -> None:
 
     @app.get(
         "/avatars/{avatar}/mesh",
-        responses={200: {"content": {"application/json": {}, mesh.GLB_MEDIA_TYPE: {}}}, **NOT_FOUND},
+        responses={200: {"content": {"application/json": {}, mesh.GLB_MEDIA_TYPE: {}}}, **NOT_FOUND, **LIMITS},
         response_class=Response,
     )
     def static_mesh(
         request: Request,
+        hold: Entered,
         avatar: AvatarId,
         format: Literal["json", "glb"] = "json",
         morph: Annotated[bool, Query(description="the GLB has the garments' blend shapes as morph targets")] = False,
     ) -> Response:
         """Body and garments in T-pose: vertices, faces and regions as JSON, or a GLB with a skin."""
+        settings: Settings = request.app.state.settings
         found = find_avatar(request, avatar)
         if format == "glb":
-            glb = found.once("morph", mesh.morph_glb) if morph else found.once("glb", mesh.mesh_glb)
-            return Response(glb, media_type=mesh.GLB_MEDIA_TYPE)
-        return Response(found.once("json", _mesh_json), media_type="application/json")
+            content = found.once("morph", mesh.morph_glb) if morph else found.once("glb", mesh.mesh_glb)
+        else:
+            content = found.once("json", _mesh_json)
+        hold.reserve(len(content))
+        media_type = mesh.GLB_MEDIA_TYPE if format == "glb" else "application/json"
+        return PartsResponse([content], media_type, settings.send_seconds)
 
 
 def _mesh_json(bundle: AvatarBundle) -> bytes:

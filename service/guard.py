@@ -10,11 +10,11 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic
-from typing import Final, TypeVar
+from typing import Annotated, Final, TypeVar
 
 import anyio
 import anyio.to_thread
-from fastapi import Request
+from fastapi import Depends, Request
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -207,3 +207,14 @@ class Guarded:
 def hold_of(request: Request) -> Hold:
     """What the request holds; everything is given back at its end."""
     return request.state.hold
+
+
+async def _entered(request: Request) -> Hold:
+    """In the event loop, for places are not counted by several threads."""
+    hold = hold_of(request)
+    hold.enter()
+    return hold
+
+
+Entered = Annotated[Hold, Depends(_entered)]
+"""Of a route without a body: what its request holds, which has taken a place among its client's."""

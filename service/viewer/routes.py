@@ -13,8 +13,10 @@ from fastapi.staticfiles import StaticFiles
 from caphy.io.poses import PoseSequence, placed_on
 from caphy.io.procedural import procedural_motion
 from service import protocol
-from service.avatar_routes import AvatarId, find_avatar
-from service.guard import hold_of
+from service.answers import PartsResponse
+from service.avatar_routes import LIMITS, NOT_FOUND, AvatarId, find_avatar
+from service.guard import Entered, Hold, hold_of
+from service.settings import Settings
 from service.viewer.pose_files import frames_request, read_upload
 
 STATIC: Final = Path(__file__).parent / "static"
@@ -70,12 +72,12 @@ def add_viewer(app: FastAPI) -> None:
         headers = {"content-security-policy": POLICY, "referrer-policy": "no-referrer", "cache-control": "no-cache"}
         return FileResponse(STATIC / "index.html", headers=headers)
 
-    @app.get("/avatars/{avatar}/poses", responses={**POSES, 404: PROBLEMS[404]}, response_class=Response)
-    def made_up(request: Request, avatar: AvatarId) -> Response:
+    @app.get("/avatars/{avatar}/poses", responses={**POSES, **NOT_FOUND, **LIMITS}, response_class=Response)
+    def made_up(request: Request, hold: Entered, avatar: AvatarId) -> Response:
         """A made-up motion of 20 s for a first look, at the avatar's frame rate: the body of a frames request."""
         bundle = find_avatar(request, avatar).bundle
         sole = float(bundle.body.vertices[:, 1].min())
-        return _answer(placed_on(_made_up(bundle.fps), bundle.joints, sole))
+        return _answer(request, hold, placed_on(_made_up(bundle.fps), bundle.joints, sole))
 
     app.post(
         "/avatars/{avatar}/poses",
@@ -97,7 +99,7 @@ async def post_poses(
     content = await hold.read(request)
 
     def work() -> Response:
-        return _answer(read_upload(name, content, bundle, fps))
+        return _answer(request, hold, read_upload(name, content, bundle, fps))
 
     return await hold.run(work)
 
@@ -107,6 +109,8 @@ def _made_up(fps: float) -> PoseSequence:
     return procedural_motion(seconds=MADE_UP_SECONDS, fps=fps)
 
 
-def _answer(sequence: PoseSequence) -> Response:
+def _answer(request: Request, hold: Hold, sequence: PoseSequence) -> Response:
+    settings: Settings = request.app.state.settings
     body, headers = frames_request(sequence)
-    return Response(body, media_type=protocol.MEDIA_TYPE, headers=headers)
+    hold.reserve(len(body))
+    return PartsResponse([body], protocol.MEDIA_TYPE, settings.send_seconds, headers)

@@ -15,6 +15,7 @@ import pytest
 from fastapi.testclient import TestClient
 from test_app import BINARY, FRAMES, body_of, refused, still
 
+from caphy.io.poses import write_poses
 from service import frames, guard
 from service.app import create_app
 from service.errors import Problem
@@ -135,6 +136,42 @@ def test_bytes_held_are_bounded_and_given_back(avatars, motion):
         assert client.app.state.guard._buffered == 0
 
 
+GET_ANSWERS = ["/avatars/shell/mesh", "/avatars/shell/mesh?format=glb", "/avatars/shell/poses"]
+
+
+@pytest.mark.parametrize("path", GET_ANSWERS)
+def test_answers_without_a_body_to_read_are_held_too(avatars, path):
+    with service(avatars, max_client_requests=1) as client:
+        state = client.app.state
+        size = len(client.get(path).content)
+        assert state.guard._buffered == 0
+        state.guard.buffer(state.settings.max_buffered_bytes - size + 1)
+        refused(client.get(path), 503, "as many bytes")
+        state.guard.buffer(-1)
+        assert len(client.get(path).content) == size
+        state.guard.client("testclient").requests += 1
+        refused(client.get(path), 429, "1 requests")
+        state.settings.max_buffered_bytes = size - 1
+        state.guard.client("testclient").requests -= 1
+        refused(client.get(path), 413, str(size))
+
+
+def test_poses_of_a_file_are_held_until_they_are_sent(avatars, motion, tmp_path):
+    write_poses(motion, tmp_path / "motion.npz")
+    file = (tmp_path / "motion.npz").read_bytes()
+    with service(avatars) as client:
+
+        def sent():
+            return client.post("/avatars/shell/poses", params={"name": "motion.npz"}, content=file, headers=BINARY)
+
+        size = len(sent().content)
+        state = client.app.state
+        state.guard.buffer(state.settings.max_buffered_bytes - len(file) - size + 1)
+        refused(sent(), 503, "as many bytes")
+        state.guard.buffer(-1)
+        assert len(sent().content) == size
+
+
 def test_many_small_holds_fill_the_service_too():
     guarded = Guard(Settings(max_buffered_bytes=1024), Metrics())
     holds = [Hold(guarded, guarded.client(str(number))) for number in range(4)]
@@ -182,12 +219,14 @@ def test_slow_bodies_are_refused(avatars):
     assert app.state.guard._buffered == 0
 
 
-def test_slow_readers_are_dropped(avatars, motion):
+@pytest.mark.parametrize(("method", "path"), [("POST", FRAMES), ("GET", "/avatars/shell/mesh")])
+def test_slow_readers_are_dropped(avatars, motion, method, path, monkeypatch):
+    monkeypatch.setattr("service.answers.PIECE", 1024)
     app = create_app(Settings(avatars=avatars, send_seconds=0.2))
     app.state.library.load()
     sent: list[dict] = []
     headers = [(b"content-type", b"application/octet-stream")]
-    scope = {"type": "http", "method": "POST", "path": FRAMES, "query_string": b"", "headers": headers}
+    scope = {"type": "http", "method": method, "path": path, "query_string": b"", "headers": headers}
 
     async def receive():
         return {"type": "http.request", "body": body_of(motion), "more_body": False}
