@@ -44,8 +44,9 @@ from service.stream.messages import (
     encode_state,
 )
 
-HELD_FRAMES: Final = 64
-"""Frames that wait for a credit before the oldest are lived."""
+HELD: Final = 64
+"""Frames, or messages of poses, that wait for a credit before the oldest are lived; fewer than :data:`QUEUE`, or the
+credit would never be read. At fast rates messages hold less than a frame each."""
 LIVED_FRAMES: Final = 8
 """Skipped frames that are lived in one go, so that who is behind does not hold up the others."""
 QUEUE: Final = 128
@@ -294,7 +295,7 @@ class Session:
         if available:
             return self._poses_waiting > available
         follows = not self._credits and any(not isinstance(item, Ticks) for item in self._queue)
-        return follows or (self._frames > HELD_FRAMES and self._poses_waiting > 1)
+        return follows or (max(self._frames, self._poses_waiting) > HELD and self._poses_waiting > 1)
 
     def _pop(self) -> Ticks:
         item = self._queue.popleft()

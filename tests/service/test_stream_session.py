@@ -122,6 +122,19 @@ def test_a_reader_that_takes_nothing_holds_no_more_than_a_few_frames(avatar, mot
     assert client.session.skipped > 500
 
 
+@pytest.mark.parametrize("fps", [60.0, 120.0])
+def test_poses_faster_than_the_avatars_do_not_fill_the_queue_before_a_credit_comes(avatar, motion, fps):
+    client = Client(avatar, credits=0, fps=fps)
+    for number in range(1, 2 * QUEUE + 1):
+        client.send(motion, number % len(motion), number=number)
+        assert client.run() == []
+        assert not client.session.is_full  # or the credit behind them would not be read
+    client.session.take(Credit(1))
+    (answer,) = client.run()
+    assert answer.number == 2 * QUEUE
+    assert answer.skipped == 2 * QUEUE - 1
+
+
 def test_a_state_asked_for_skips_nothing_that_has_a_credit(avatar, motion):
     client = Client(avatar, credits=5)
     for frame in range(3):
