@@ -8,10 +8,14 @@ from typing import Final
 import numpy as np
 
 from caphy.conditioning import Body, Conditioner, Conditioning, Frame
+from caphy.conditioning.conditioner import LATEST
+from caphy.conditioning.seen import checked
 from caphy.errors import CaphyError
 from service.conditioned import arrays, settled_at
 
 NEVER: Final = -1
+CLOSE: Final = 1e-6
+"""Frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +43,11 @@ class ConditionedClock:
     ) -> None:
         self.pose_fps = pose_fps
         self._longest = longest
-        self._conditioner = Conditioner(settings, body, longest=(longest - 1) / settings.fps - settings.latency)
+        self._silence = (longest - 1) / settings.fps - settings.latency
+        self._conditioner = Conditioner(settings, body, longest=self._silence)
         self._continued = continued
         self._number = NEVER
-        self._time = 0.0
+        self._time = -np.inf
 
     @property
     def latency(self) -> float:
@@ -57,7 +62,7 @@ class ConditionedClock:
     def restart(self) -> None:
         """The next pose is tick 0 of a new motion."""
         self._conditioner.restart()
-        self._number, self._time = NEVER, 0.0
+        self._number, self._time = NEVER, -np.inf
 
     def take(
         self,
@@ -68,25 +73,39 @@ class ConditionedClock:
         confidence: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray, Conditions]:
         """Poses (N, 55, 3) and transl (N, 3), float32, of the frames that are complete after poses (T, 55, 3) from
-        ``number`` on, and what was done to them. Raises CaphyError where numbers do not rise."""
+        ``number`` on, and what was done to them.
+
+        Raises CaphyError where numbers do not rise, times span more than ``longest`` frames or confidences are no
+        shares; then nothing has happened.
+        """
         if number <= self._number:
             raise CaphyError(f"numbers must rise: after {self._number} came {number}; reset starts a new motion")
         if times is None:
-            gap = (number - self._number) / self.pose_fps if self._number != NEVER else 0.0
-            times = self._time + gap + np.arange(len(poses)) / self.pose_fps
-        if (times[-1] - times[0]) * self._conditioner.settings.fps > self._longest:
-            raise CaphyError(
-                f"times of one message may span {self._longest} frames of the avatar's, got "
-                f"{times[-1] - times[0]:.3f} s; send fewer poses at a time"
-            )
+            first = 0.0 if self._time == -np.inf else self._time + (number - self._number) / self.pose_fps
+            times = first + np.arange(len(poses)) / self.pose_fps
+        rising = np.maximum.accumulate(np.append(self._time, times[np.abs(times) <= LATEST]))
+        self._require_short(np.diff(rising))
+        trust = [None] * len(poses) if confidence is None else confidence
+        seen = list(zip(poses, transl, trust, strict=True))
+        for pose in seen:  # of all before any is taken: what is refused must leave the stream as it was
+            checked(*pose)
         frames: list[Frame] = []
-        for i, time in enumerate(times):
-            frames += self._conditioner.push(
-                float(time), poses[i], transl[i], None if confidence is None else confidence[i]
-            )
-        self._number = number + len(poses) - 1
-        self._time = float(times[-1]) if np.isfinite(times[-1]) else self._time
+        for time, pose in zip(times, seen, strict=True):
+            frames += self._conditioner.push(float(time), *pose)
+        self._number, self._time = number + len(poses) - 1, float(rising[-1])
         return *arrays(frames), self._conditions(frames)
+
+    def _require_short(self, steps: np.ndarray) -> None:
+        """Refuse the steps (T,) [s] that time goes on by in a message where that makes too many frames.
+
+        Time stamps that do not rise and silences that are left out make none, as the conditioner has it.
+        """
+        span = float(steps[steps <= self._silence].sum())
+        if span * self._conditioner.settings.fps > self._longest + CLOSE:
+            raise CaphyError(
+                f"times of one message, from the pose before it on, may span {self._longest} frames of the avatar's, "
+                f"got {span:.3f} s; send fewer poses at a time"
+            )
 
     def _conditions(self, frames: list[Frame]) -> Conditions:
         if not frames:

@@ -229,8 +229,48 @@ def test_numbers_give_times_where_there_are_none(bundle, motion):
 def test_times_are_for_conditioned_streams(bundle, lost):
     with pytest.raises(CaphyError, match="ask for conditioning"):
         Stream(bundle, "").run(seen(lost, 0, 1))
+
+
+SPAN = np.arange(1, 32) * 0.97
+"""Time stamps [s] of which each step is one that a stream fills in, and nearly as long as one that it does not."""
+
+
+@pytest.mark.parametrize("times", [[0.5, 0.9, 1.1], SPAN, [*SPAN, 0.97], [0.97, np.nan, *SPAN[2:], np.nan]])
+def test_times_that_make_too_many_frames_are_refused_whatever_their_order(bundle, motion, times):
+    poses, transl = np.repeat(motion.poses[:1], 32, 0).astype("f4"), np.repeat(motion.transl[:1], 32, 0).astype("f4")
+    count, sure = len(times), np.ones((32, 55), np.float32)
+    stream = Stream(bundle)
+    stream.run(Seen(1, 0.0, poses[:1], transl[:1], np.zeros(1), sure[:1]))
     with pytest.raises(CaphyError, match="span"):
-        Stream(bundle).run(Seen(1, *_fields(seen(lost, 0, 30), 0.0)))
+        stream.run(Seen(2, 0.0, poses[:count], transl[:count], np.array(times), sure[:count]))
+    later = stream.run(Seen(2, 0.0, poses, transl, np.arange(1, 33) / 30, sure), Credit(9))
+    assert 28 <= sum(answer.meshes.frames for answer in later) <= 32
+
+
+def test_a_stamp_that_does_not_rise_leaves_the_others_their_message(bundle, motion):
+    poses, transl = motion.poses[:4].astype("f4"), motion.transl[:4].astype("f4")
+    stream, sure = Stream(bundle), np.ones((4, 55), np.float32)
+    (answer,) = stream.run(Seen(1, 0.0, poses, transl, np.array([5.0, 5.1, 5.2, 0.1]), sure))
+    assert answer.meshes.frames == 5  # up to 5.2 s less the latency
+    (answer,) = stream.run(Poses(5, 0.0, poses, transl))  # whose times go on after the last that rose
+    assert answer.meshes.frames == 4
+    assert [bool(flags & Did.REJECTED) for flags in answer.did] == [True, False, False, False]  # the old stamp
+
+
+def test_a_message_that_is_refused_leaves_the_stream_as_it_was(bundle, motion):
+    poses, transl = motion.poses[:8].astype("f4"), motion.transl[:8].astype("f4")
+    times, sure = np.arange(8) / 30, np.ones((8, 55), np.float32)
+    wrong = sure.copy()
+    wrong[5] = 5
+    stream, other = Stream(bundle), Stream(bundle)
+    first = Seen(1, 0.0, poses[:4], transl[:4], times[:4], sure[:4])
+    stream.run(first), other.run(first)
+    with pytest.raises(CaphyError, match="between 0"):
+        stream.run(Seen(5, 0.0, poses[4:], transl[4:], times[4:], wrong[4:]))
+    again = Seen(5, 0.0, poses[4:], transl[4:], times[4:], sure[4:])
+    (found,), (expected,) = stream.run(again), other.run(again)
+    assert found.did.tolist() == expected.did.tolist()
+    np.testing.assert_array_equal(found.meshes.vertices["tshirt"], expected.meshes.vertices["tshirt"])
 
 
 def test_the_client_over_a_socket(url, bundle, lost):
