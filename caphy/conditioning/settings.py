@@ -77,7 +77,8 @@ class Conditioning:
 
 def _direction(given: object) -> tuple[float, float, float]:
     values = tuple(given) if isinstance(given, tuple | list) else ()
-    numbers = [float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool)]
+    real = [x for x in values if isinstance(x, int | float) and not isinstance(x, bool)]
+    numbers = [float(x) for x in real if abs(x) < 1e6]  # asked first: an integer may be more than a float can hold
     length = math.hypot(*numbers)
     if len(values) != 3 or len(numbers) != 3 or not 1e-6 < length < 1e6:
         raise CaphyError(f"conditioning: up must be a direction (x, y, z), got {given!r}")

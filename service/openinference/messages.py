@@ -116,7 +116,7 @@ def _tensor(tensor: InputTensor, body: bytes, offset: int) -> tuple[np.ndarray, 
     """The tensor's array, and where the next one's bytes start."""
     name, count = tensor.name[:64], math.prod(tensor.shape)
     if "binary_data_size" not in tensor.parameters:
-        return _numbers(tensor.data, name, count).reshape(tensor.shape), offset
+        return _shaped(_numbers(tensor.data, name, count), tensor), offset
     said, size = tensor.parameters["binary_data_size"], FLOAT.itemsize * count
     if tensor.data is not None:
         raise Problem(422, f"{name}: must have either data or binary_data_size, got both")
@@ -124,7 +124,15 @@ def _tensor(tensor: InputTensor, body: bytes, offset: int) -> tuple[np.ndarray, 
         raise Problem(422, f"{name}: shape {tensor.shape} makes {size} bytes, got {str(said)[:32]}")
     if offset + size > len(body):
         raise Problem(422, f"{name}: {size} bytes are announced, {len(body) - offset} are left")
-    return np.frombuffer(body, FLOAT, count, offset).reshape(tensor.shape), offset + size
+    return _shaped(np.frombuffer(body, FLOAT, count, offset), tensor), offset + size
+
+
+def _shaped(numbers: np.ndarray, tensor: InputTensor) -> np.ndarray:
+    """The ``numbers`` in the shape that they are known to fill; beside a 0 other dimensions may be beyond any array."""
+    try:
+        return numbers.reshape(tensor.shape)
+    except ValueError as error:
+        raise Problem(422, f"{tensor.name[:64]}: no array has the shape {tensor.shape}; send what it holds") from error
 
 
 def _numbers(data: list[Any] | None, name: str, count: int) -> np.ndarray:

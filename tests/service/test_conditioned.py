@@ -137,6 +137,7 @@ def test_off_unless_asked_for_and_said(http, motion):
         ('?condition={"cutoff":-1}', {}, "cutoff must lie"),
         ('?condition={"fps":60}', {}, "fps is the avatar's"),
         ("?condition=[1]", {}, "table of settings"),
+        ('?condition={"frame":"camera","up":[1' + 400 * "0" + ",0,0]}", {}, "up must be a direction"),
         ("", {"times": [0, 1, 2, 3]}, "ask for it"),
         ("?condition=on", {"times": [0, 1]}, "one for each pose"),
         ("?condition=on", {"confidence": [1, 1]}, "confidence: must have shape"),

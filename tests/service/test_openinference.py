@@ -125,6 +125,7 @@ def poses(**changes: object) -> dict[str, object]:
     return {"name": "poses", "shape": [1, 55, 3], "datatype": "FP32", "data": [0.0] * 165, **changes}
 
 
+HUGE = (1 << 32) - 1
 BAD_REQUESTS = [
     ({}, "inputs"),
     ({"inputs": []}, "poses must be among"),
@@ -140,6 +141,12 @@ BAD_REQUESTS = [
     ({"inputs": [poses(shape=[165])]}, "shape"),
     ({"inputs": [poses(shape=[-1, 55, 3])]}, "shape"),
     ({"inputs": [poses(shape=[1 << 31] * 8)]}, "numbers"),
+    ({"inputs": [poses(shape=[HUGE, HUGE, 0], data=[])]}, "no array has the shape"),
+    (
+        {"inputs": [poses(shape=[0, HUGE, HUGE], data=None, parameters={"binary_data_size": 0})]},
+        "no array has the shape",
+    ),
+    ({"inputs": [poses(shape=[HUGE, 55, 0], data=[])]}, "55 joints of 3 numbers"),
     ({"inputs": [poses(parameters={"binary_data_size": 660})]}, "both"),
     ({"inputs": [poses(data=None, parameters={"binary_data_size": 660})]}, "announced"),
     ({"inputs": [poses(data=None, parameters={"binary_data_size": 4})]}, "660"),
