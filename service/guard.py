@@ -51,6 +51,7 @@ class Guard:
         self._buffered = 0
         self._buffer_lock = threading.Lock()
         self._clients: OrderedDict[str, Client] = OrderedDict()
+        self._burst = max(1.0, settings.max_client_rate)  # a request takes 1, so below that none would ever pass
 
     async def run(self, work: Callable[[], Answer]) -> Answer:
         """What ``work`` returns, computed in a thread as soon as one is free."""
@@ -83,7 +84,7 @@ class Guard:
         """The client of that address, remembered."""
         client = self._clients.get(address)
         if client is None:
-            client = self._clients[address] = Client(self.settings.max_client_rate, monotonic())
+            client = self._clients[address] = Client(self._burst, monotonic())
         self._clients.move_to_end(address)
         while len(self._clients) > KNOWN_CLIENTS:
             self._clients.popitem(last=False)
@@ -92,7 +93,7 @@ class Guard:
     def count_request(self, client: Client) -> None:
         """Take one of the requests that the client may make per second."""
         rate, now = self.settings.max_client_rate, monotonic()
-        client.tokens = min(rate, client.tokens + rate * (now - client.counted_at))
+        client.tokens = min(self._burst, client.tokens + rate * (now - client.counted_at))
         client.counted_at = now
         if client.tokens < 1:
             raise self.refusal(429, "rate", f"one client may send {rate:g} requests per second")

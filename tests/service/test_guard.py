@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import anyio
 import pytest
@@ -108,6 +108,18 @@ def test_one_client_has_so_many_requests_per_second(avatars):
         assert client.get("/ready").status_code == 200
         time.sleep(1.1)
         assert client.get("/avatars").status_code == 200
+
+
+def test_less_than_a_request_per_second_is_one_now_and_then(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(guard, "monotonic", lambda: clock[0])
+    guarded = Guard(Settings(max_client_rate=0.25), Metrics())
+    passed = []
+    for clock[0] in range(12):
+        with suppress(Problem):
+            guarded.count_request(guarded.client("192.0.2.1"))
+            passed.append(clock[0])
+    assert passed == [0, 4, 8]
 
 
 def test_other_clients_are_not_held_back():
