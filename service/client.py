@@ -41,6 +41,7 @@ class Client:
         self._connection = kind(parts.hostname, parts.port, timeout=timeout)
         self._url = url
         self._headers = {} if key is None else {"x-api-key": key.encode()}
+        self._avatars: dict[str, dict[str, Any]] = {}
         self._told = ""
         self.server_timing: dict[str, float] = {}
         """Milliseconds the service spent on the last :meth:`run`: parse, infer, encode."""
@@ -52,6 +53,16 @@ class Client:
     def describe(self, avatar: str) -> dict[str, Any]:
         """One avatar: garments, joints, licence, provenance, metrics."""
         return json.loads(self._ask("GET", f"/avatars/{quote(avatar, safe='')}"))
+
+    def pelvis(self, avatar: str) -> np.ndarray:
+        """Where the avatar's pelvis joint rests (3,) [m]: what the translations that travel refer to."""
+        return np.array(self._known(avatar)["joints"][0])
+
+    def _known(self, avatar: str) -> dict[str, Any]:
+        """As :meth:`describe`, asked for once."""
+        if avatar not in self._avatars:
+            self._avatars[avatar] = self.describe(avatar)
+        return self._avatars[avatar]
 
     def frames(self, avatar: str, sequence: PoseSequence, garments: Sequence[str] = ()) -> dict[str, np.ndarray]:
         """Vertices (T, V, 3) [m] per garment, at the avatar's frame rate, of a motion that starts here.
@@ -77,8 +88,9 @@ class Client:
         normals: bool = False,
         condition: Mapping[str, Any] | None = None,
     ) -> FramesResponse:
-        """As :meth:`frames`, with the states after the last frame; give them to continue a motion.
+        """As :meth:`frames` in one request, with the states after the last frame; give them to continue a motion.
 
+        Of a motion of another body each root stands where it stood, see :meth:`PoseSequence.about`.
         ``encoding`` and ``normals`` choose what travels, see docs/protocol.md. ``condition``: settings of conditioning
         as in docs/conditioning.md, {} for its defaults; the answer's ``conditioning`` then says what was done.
         """
@@ -91,6 +103,7 @@ class Client:
             )
         else:
             sequence = sequence.to_y_up()
+        sequence = sequence.about(self.pelvis(avatar))
         state = np.concatenate(list(states.values())) if states else np.zeros(0, np.float32)
         body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, state))
         chosen = [("garment", name) for name in garments]

@@ -60,14 +60,15 @@ def random_network(garment: Garment, width: int = 24, layers: int = 4, offset: f
 
 
 def wiggle(seconds: float = 2.0, fps: float = 30.0, seed: int = 0) -> PoseSequence:
-    """A smooth motion of every joint, walking along a curve."""
+    """A smooth motion of every joint, walking along a curve, told for the bundled body."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * fps)) / fps
     speed, phase = rng.uniform(1, 6, (55, 3)), rng.uniform(0, 6, (55, 3))
     poses = 0.35 * np.sin(time[:, None, None] * speed + phase)
     poses[:, 0, 1] += time
     transl = np.stack([np.sin(time), 0.05 * np.sin(9 * time), 0.8 * time], axis=-1)
-    return PoseSequence(poses=poses, transl=transl, fps=fps, source=f"wiggle {seed}")
+    pelvis = default_body("medium").joints[0]
+    return PoseSequence(poses=poses, transl=transl, fps=fps, source=f"wiggle {seed}", pelvis=pelvis)
 
 
 @lru_cache(maxsize=1)

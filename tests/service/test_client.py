@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from caphy.errors import CaphyError
+from caphy.io.poses.sequence import SMPLX_PELVIS
 from service.client import Client
 from service.engine import GarmentEngine
 
@@ -37,6 +38,32 @@ def test_z_up_motions_are_turned(url, motion):
     client = Client(url)
     expected, found = client.frames("shell", motion), client.frames("shell", motion.to_z_up())
     np.testing.assert_allclose(found["tshirt"], expected["tshirt"], atol=1e-5)
+
+
+@pytest.mark.parametrize("condition", [None, {}])
+def test_roots_stand_where_those_of_another_body_stood(url, motion, condition):
+    client = Client(url)
+    expected, found = (client.run("shell", m, condition=condition) for m in (motion, motion.about(SMPLX_PELVIS)))
+    np.testing.assert_allclose(found.vertices["tshirt"], expected.vertices["tshirt"], atol=1e-5)
+
+
+@pytest.mark.parametrize("z_up", [False, True])
+def test_a_cameras_view_of_another_body_is_told_about_the_avatars_pelvis(url, motion, z_up):
+    client, view = Client(url), replace(motion, frame="camera")
+    other = view.about(SMPLX_PELVIS)
+    settings = {"up": [0.0, -0.8, -0.6]}
+    expected = client.run("shell", view, condition=settings)
+    found = client.run("shell", other.to_z_up() if z_up else other, condition=settings)
+    np.testing.assert_allclose(found.vertices["tshirt"], expected.vertices["tshirt"], atol=1e-5)
+
+
+def test_an_avatars_body_is_asked_for_once(url, motion, monkeypatch):
+    client, asked = Client(url), []
+    describe = client.describe
+    monkeypatch.setattr(client, "describe", lambda avatar: asked.append(avatar) or describe(avatar))
+    for frame in range(3):
+        client.run("shell", motion[frame : frame + 1])
+    assert asked == ["shell"]
 
 
 def test_lists_and_describes(url):

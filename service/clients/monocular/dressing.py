@@ -91,7 +91,8 @@ class RequestWardrobe:
             if Did.RESET in part[0].did:
                 self._states = None
             poses, transl = np.stack([f.poses for f in part]), np.stack([f.transl for f in part])
-            motion = PoseSequence(poses, transl, self._fps, source="monocular")
+            pelvis = self._client.pelvis(self._avatar)  # translations are the avatar's already
+            motion = PoseSequence(poses, transl, self._fps, source="monocular", pelvis=pelvis)
             answer = self._client.run(self._avatar, motion, states=self._states)
             self._states = dict(answer.states)
             worn += [{name: v[t] for name, v in answer.vertices.items()} for t in range(len(part))]
