@@ -67,11 +67,9 @@ class Client:
     def frames(self, avatar: str, sequence: PoseSequence, garments: Sequence[str] = ()) -> dict[str, np.ndarray]:
         """Vertices (T, V, 3) [m] per garment, at the avatar's frame rate, of a motion that starts here.
 
-        Motions of more than :data:`PART` frames are resampled here and go in parts.
+        It is resampled here, and goes in parts where that makes more than :data:`PART` frames.
         """
-        if len(sequence) <= PART:
-            return dict(self.run(avatar, sequence, garments).vertices)
-        whole, states, parts = sequence.resample(self.describe(avatar)["fps"]), None, []
+        whole, states, parts = sequence.resample(self._known(avatar)["fps"]), None, []
         for first in range(0, len(whole), PART):
             answer = self.run(avatar, whole[first : first + PART], garments, states)
             parts.append(answer.vertices)

@@ -108,6 +108,12 @@ def test_long_motions_are_resampled_and_sent_in_parts(url, motion, monkeypatch):
     np.testing.assert_allclose(again["tshirt"], whole["tshirt"], atol=1e-4)
 
 
+def test_a_motion_that_gets_long_by_resampling_goes_in_parts(url, motion):
+    poses, transl = np.tile(motion.poses, (28, 1, 1)), np.tile(motion.transl, (28, 1))
+    slow = replace(motion, poses=poses, transl=transl, fps=10.0)  # 840 poses, but more frames than a request may have
+    assert len(Client(url).frames("shell", slow, ["tshirt"])["tshirt"]) == 2518
+
+
 def test_parameters_that_are_none_are_told(url):
     with pytest.raises(CaphyError, match="'garments' is no parameter here; there is garment"):
         Client(url)._ask("POST", "/avatars/shell/frames?garments=tshirt", b"")
