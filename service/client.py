@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from typing import Any, Final
 from urllib.parse import quote, urlencode, urlsplit
 
@@ -117,11 +117,8 @@ class Client:
         self._connection.close()
 
     def _ask(self, method: str, path: str, body: bytes | None = None) -> bytes:
-        headers = {"accept": "application/json"} if body is None else {"content-type": MEDIA_TYPE, "accept": MEDIA_TYPE}
         try:
-            self._connection.request(method, path, body, headers | self._headers)
-            response = self._connection.getresponse()
-            content = response.read()
+            response, content = self._exchange(method, path, body)
         except (OSError, HTTPException) as error:
             self._connection.close()
             raise CaphyError(f"{self._url}: cannot be reached ({error}); is 'caphy serve' running there?") from error
@@ -130,6 +127,24 @@ class Client:
         self.server_timing = _timing(response.getheader("server-timing") or "")
         self._told = response.getheader(HEADER) or ""
         return content
+
+    def _exchange(self, method: str, path: str, body: bytes | None) -> tuple[HTTPResponse, bytes]:
+        """An answer and its content, over a new connection where the old one has ended meanwhile.
+
+        Services end connections that are silent for some seconds. A request carries all that it needs, so it may be
+        sent again. Raises OSError or HTTPException where a new connection does not help.
+        """
+        headers = {"accept": "application/json"} if body is None else {"content-type": MEDIA_TYPE, "accept": MEDIA_TYPE}
+        was_open = self._connection.sock is not None
+        try:
+            self._connection.request(method, path, body, headers | self._headers)
+            response = self._connection.getresponse()
+        except (ConnectionResetError, BrokenPipeError):  # RemoteDisconnected is the first
+            self._connection.close()
+            if not was_open:
+                raise
+            return self._exchange(method, path, body)
+        return response, response.read()
 
 
 def _detail(content: bytes) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import socket
+import threading
 from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -94,6 +96,42 @@ def test_nobody_there_and_no_address():
         Client(f"http://127.0.0.1:{port}").avatars()
     with pytest.raises(CaphyError, match="address"):
         Client("localhost:8000")
+
+
+class Closing(BaseHTTPRequestHandler):
+    """Answers so many requests, each on a connection that it then ends without saying so."""
+
+    protocol_version = "HTTP/1.1"
+    left = 0
+    seen = 0
+
+    def do_GET(self):
+        type(self).seen += 1
+        self.close_connection = True
+        if type(self).left:
+            type(self).left -= 1
+            self.send_response(200)
+            self.send_header("content-length", "2")
+            self.end_headers()
+            self.wfile.write(b"[]")
+
+    def log_message(self, *_):
+        pass
+
+
+def test_a_connection_that_ended_in_silence_is_made_again_once(monkeypatch):
+    monkeypatch.setattr(Closing, "left", 3)
+    monkeypatch.setattr(Closing, "seen", 0)
+    with ThreadingHTTPServer(("127.0.0.1", 0), Closing) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        client = Client(f"http://127.0.0.1:{server.server_port}")
+        assert [client.avatars() for _ in range(3)] == [[], [], []]
+        assert Closing.seen == 3
+        for tries in (4, 5):  # the old connection has ended, and over a new one nothing is answered
+            with pytest.raises(CaphyError, match="cannot be reached"):
+                client.avatars()
+            assert Closing.seen == tries
+        server.shutdown()
 
 
 def test_long_motions_are_resampled_and_sent_in_parts(url, motion, monkeypatch):
