@@ -1,7 +1,8 @@
 # The service on a slim image: no torch, no compiler, no root.
 #   docker build -t caphy . && docker run --rm -p 8000:8000 -e CAPHY_API_KEY=... caphy
 # Your own avatars: add -v "$PWD/avatars:/avatars:ro" -e CAPHY_AVATARS=/avatars
-# It writes nothing (--read-only is fine); several workers (CAPHY_WORKERS) keep their numbers in /dev/shm.
+# It writes nothing but in /dev/shm (--read-only is fine): the numbers of several workers (CAPHY_WORKERS), and pose files
+# dropped on the page while they are read.
 # docs/operation.md has the settings. tests/docker runs these steps without an engine.
 
 FROM python:3.11-slim AS build

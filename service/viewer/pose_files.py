@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import zipfile
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,8 @@ MAX_UNPACKED_BYTES: Final = 128 << 20
 MAX_SECONDS: Final = 300.0
 DAMAGE: Final = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
 """How a reader may fail on a file that is damaged in a way nobody thought of; never the service's fault."""
+MEMORY: Final = "/dev/shm"
+"""A place for files where nothing else can be written, as in a container with ``--read-only``."""
 NOTES_HEADER: Final = "caphy-notes"
 SOURCE_HEADER: Final = "caphy-source"
 
@@ -31,7 +33,8 @@ def read_upload(name: str, content: bytes, bundle: AvatarBundle, fps: float | No
     """The motion in an uploaded file, on the avatar's body and ground, at its frame rate.
 
     ``name`` tells the format by its ending; ``fps`` [Hz] is the true frame rate where the file does not say. Raises
-    Problem: 413 for what is too long or unpacks to too much, 415 for other formats, 422 for what cannot be read.
+    Problem: 413 for what is too long or unpacks to too much, 415 for other formats, 422 for what cannot be read, 503
+    where the service can write nowhere.
     """
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
@@ -42,10 +45,8 @@ def read_upload(name: str, content: bytes, bundle: AvatarBundle, fps: float | No
         )
     if suffix == ".npz":
         _require_small(name, content)
-    with tempfile.TemporaryDirectory(prefix="caphy-") as folder:
-        path = Path(folder) / f"upload{suffix}"
-        path.write_bytes(content)
-        sequence = _read(path, name, fps)
+    with _folder_of(f"upload{suffix}", content) as folder:
+        sequence = _read(Path(folder, f"upload{suffix}"), name, fps)
     if sequence.frame == "camera":
         raise Problem(422, f"{name}: these poses are in a camera's frame; convert them to world coordinates first")
     if sequence.duration > MAX_SECONDS:
@@ -70,6 +71,24 @@ def _require_small(name: str, content: bytes) -> None:
         raise Problem(422, f"{name}: not a readable .npz archive, perhaps cut short: {error}") from error
     if size > MAX_UNPACKED_BYTES:
         raise Problem(413, f"{name}: an archive may unpack to {MAX_UNPACKED_BYTES} bytes, this one says {size}")
+
+
+def _folder_of(name: str, content: bytes) -> TemporaryDirectory[str]:
+    """A folder with that file, for readers take paths; raises Problem 503 where there is no place for it."""
+    for place in (None, MEMORY):
+        try:
+            folder = TemporaryDirectory(prefix="caphy-", dir=place)
+        except OSError:
+            continue
+        try:
+            Path(folder.name, name).write_bytes(content)
+            return folder
+        except OSError:
+            folder.cleanup()
+    raise Problem(
+        503, f"a pose file is read from a temporary file, and the service can write none; whoever runs it can set "
+        f"TMPDIR to a folder with {len(content)} bytes free, or mount {MEMORY}",
+    )  # fmt: skip
 
 
 def _read(path: Path, name: str, fps: float | None) -> PoseSequence:

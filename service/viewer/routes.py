@@ -36,7 +36,7 @@ PROBLEMS: Final[dict[int | str, dict[str, Any]]] = {
         415: "not a pose file of a format that is read here",
         422: "the file cannot be read; `detail` says why",
         429: "one client asks for too much; `retry-after` says when to try again",
-        503: "the service is at its limit; `retry-after` says when to try again",
+        503: "the service is at its limit, and `retry-after` says when to try again; or it can write no temporary file",
     }.items()
 }
 POSES: Final[dict[int | str, dict[str, Any]]] = {

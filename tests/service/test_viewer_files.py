@@ -168,6 +168,45 @@ def test_what_cannot_be_used_is_refused_in_words(http, name, content, status, wo
     assert "/tmp" not in response.text
 
 
+@pytest.fixture
+def nowhere(monkeypatch, tmp_path):
+    """No temporary directory, as in a container that is read-only, and no memory for files but what the test makes."""
+
+    def none():
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile.gettempdir", none)
+    monkeypatch.setattr("service.viewer.pose_files.MEMORY", str(tmp_path / "memory"), raising=False)
+    return tmp_path / "memory"
+
+
+def test_files_are_read_where_only_memory_can_be_written(http, nowhere):
+    nowhere.mkdir()
+    assert send(http, "walk.npz", amass()).status_code == 200
+    assert list(nowhere.iterdir()) == []
+
+
+def test_where_nothing_can_be_written_it_is_said(http, nowhere):
+    refused(send(http, "walk.npz", amass()), 503, "TMPDIR")
+
+
+def test_a_full_disk_is_left_for_memory(http, nowhere, monkeypatch, tmp_path):
+    nowhere.mkdir()
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(disk))
+    write = Path.write_bytes
+
+    def full(path, content):
+        if disk in path.parents:
+            raise OSError(28, "No space left on device")
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert send(http, "walk.npz", amass()).status_code == 200
+    assert list(disk.iterdir()) == list(nowhere.iterdir()) == []
+
+
 def test_cameras_do_not_know_which_way_is_down(http, motion, tmp_path):
     write_poses(replace(motion, frame="camera"), tmp_path / "seen.npz")
     refused(send(http, "seen.npz", (tmp_path / "seen.npz").read_bytes()), 422, "camera")
