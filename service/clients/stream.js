@@ -249,6 +249,8 @@ export class GarmentStream {
 
   #url; #options; #socket = null; #closed = false; #wait = 50; #timer = null;
   #number = 0; #received = 0; #unsaved = []; #sinceSaved = 0; #state = new Float32Array(0); #asked = [];
+  #settled = 0; // the pose after which #state is
+  #motion = 0; // goes with every request for the state and comes back, to tell states from before a reset
 
   constructor(url, { key, state, ...options } = {}) {
     this.#url = String(url).replace(/^http/, "ws");
@@ -273,7 +275,7 @@ export class GarmentStream {
     if (this.open) this.#socket.send(body);
     if (++this.#sinceSaved >= SAVE_EVERY) {
       this.#sinceSaved = 0;
-      if (this.open) this.#socket.send(encodeGetState());
+      if (this.open) this.#socket.send(encodeGetState(this.#motion));
     }
     return this.#number;
   }
@@ -281,13 +283,15 @@ export class GarmentStream {
   /** The state of every garment after all poses sent so far: a promise of { tshirt: Float32Array }. */
   state() {
     return new Promise((resolve) => {
-      this.#asked.push({ after: this.#number, resolve });
-      if (this.open) this.#socket.send(encodeGetState());
+      this.#asked.push({ motion: this.#motion, after: this.#number, resolve });
+      if (this.open) this.#socket.send(encodeGetState(this.#motion));
     });
   }
 
   /** The next pose starts a new motion. */
   reset() {
+    this.#motion++;
+    this.#settled = this.#number;
     this.#unsaved = [];
     this.#state = new Float32Array(0);
     if (this.open) this.#socket.send(encodeReset());
@@ -324,7 +328,7 @@ export class GarmentStream {
         this.welcome = message;
         this.#wait = 50;
         for (const { body } of this.#unsaved) this.#socket.send(body);
-        if (this.#unsaved.length || this.#asked.length) this.#socket.send(encodeGetState());
+        if (this.#unsaved.length || this.#asked.length) this.#socket.send(encodeGetState(this.#motion));
         this.onstatus("open"); // after what was sent before: either of these may send poses
         this.onwelcome(message);
         break;
@@ -346,12 +350,15 @@ export class GarmentStream {
     }
   }
 
-  #settle({ number, state }) {
-    this.#state = state;
-    this.#unsaved = this.#unsaved.filter(({ last }) => last > number);
+  #settle({ number, time: motion, state }) {
+    if (motion === this.#motion) {
+      this.#state = state;
+      number = this.#settled = Math.max(this.#settled, number); // a new connection counts no poses before its own
+      this.#unsaved = this.#unsaved.filter(({ last }) => last > number);
+    }
     const waiting = [];
     for (const asked of this.#asked) {
-      if (asked.after > number) {
+      if (asked.motion > motion || (asked.motion === motion && asked.after > number)) {
         waiting.push(asked);
         continue;
       }

@@ -99,6 +99,7 @@ class StreamClient:
         self._state = np.zeros(0, np.float32) if state is None else np.asarray(state, np.float32)
         self._fps, self._patience = fps, patience
         self._number = self._received = self._settled = 0
+        self._motion = 0  # goes with every request for the state and comes back, to tell states from before a reset
         self._unsaved: deque[Poses] = deque()
         self._since_saved = 0
         self._messages: deque[ServerMessage] = deque()
@@ -144,7 +145,7 @@ class StreamClient:
         self._send(encode_client(message))
         if self._since_saved >= SAVE_EVERY:
             self._since_saved = 0
-            self._send(encode_client(GetState()))
+            self._send(encode_client(GetState(self._motion)))
         return self._number
 
     def receive(self, timeout: float | None = 10.0) -> Dressed:
@@ -163,7 +164,7 @@ class StreamClient:
 
     def state(self, timeout: float | None = 10.0) -> dict[str, np.ndarray]:
         """The state (S,) of every garment after all poses sent so far."""
-        self._send(encode_client(GetState()))
+        self._send(encode_client(GetState(self._motion)))
         kept = []
         while self._settled < self._number or not self._state.size:
             message = self._next(timeout)
@@ -176,6 +177,7 @@ class StreamClient:
 
     def reset(self) -> None:
         """The next pose starts a new motion."""
+        self._motion += 1
         self._unsaved.clear()
         self._state = np.zeros(0, np.float32)
         self._settled = self._number
@@ -212,9 +214,10 @@ class StreamClient:
             return self._noted(self._decoder.decode(body if isinstance(body, bytes) else body.encode()))
 
     def _noted(self, message: ServerMessage) -> ServerMessage:
-        if isinstance(message, State):
-            self._state, self._settled = message.state, message.number
-            while self._unsaved and self._unsaved[0].number + len(self._unsaved[0].poses) - 1 <= message.number:
+        if isinstance(message, State) and message.time == self._motion:
+            self._state = message.state
+            self._settled = max(self._settled, message.number)  # a new connection counts no poses before its own
+            while self._unsaved and self._unsaved[0].number + len(self._unsaved[0].poses) - 1 <= self._settled:
                 self._unsaved.popleft()
         if isinstance(message, Dressed):
             self.skipped = message.skipped
@@ -232,7 +235,7 @@ class StreamClient:
         self._socket = self._connect()
         for message in self._unsaved:
             self._send(encode_client(message))
-        self._send(encode_client(GetState()))
+        self._send(encode_client(GetState(self._motion)))
 
     def _connect(self) -> ClientConnection:
         """A connection on which hello was said with the state there is."""

@@ -63,6 +63,7 @@ class ConditionedClock:
         """The next pose is tick 0 of a new motion."""
         self._conditioner.restart()
         self._number, self._time = NEVER, -np.inf
+        self._continued = False
 
     def take(
         self,

@@ -121,7 +121,8 @@ class Session:
         self._clock: CausalClock | ConditionedClock = CausalClock(self.fps, rate, limits.max_frames)
         if settings is not None:
             body = body_of(avatar.bundle)
-            self._clock = ConditionedClock(settings, body, rate, limits.max_frames, bool(hello.state.size))
+            continued = bool(hello.state.any())  # zeros are the state before a first frame
+            self._clock = ConditionedClock(settings, body, rate, limits.max_frames, continued)
         self._add_credits(hello.credits)
 
     def welcome(self) -> Welcome:

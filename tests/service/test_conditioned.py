@@ -155,10 +155,10 @@ def test_what_cannot_be_conditioned_is_refused_in_words(http, motion, query, ext
 class Stream:
     """A conditioned session run by hand."""
 
-    def __init__(self, bundle: AvatarBundle, settings: str = "on") -> None:
+    def __init__(self, bundle: AvatarBundle, settings: str = "on", **hello) -> None:
         self.session = Session(
             Avatar("shell", bundle, 8),
-            Hello(("tshirt",), 30.0, credits=60, conditioning=settings),
+            Hello(("tshirt",), 30.0, credits=60, conditioning=settings, **hello),
             StreamLimits(),
         )
         self.decoder = ServerDecoder(Encoding.FLOAT32, False, conditioned=bool(settings))
@@ -225,6 +225,19 @@ def test_numbers_give_times_where_there_are_none(bundle, motion):
     (first, *_) = stream.run(Reset(), *(Poses(n, 0.0, poses[n : n + 1], transl[n : n + 1]) for n in range(20, 23)))[2:]
     assert first.tick == 0
     assert first.did[0] & Did.RESET
+
+
+@pytest.mark.parametrize("reset", [True, False])
+def test_a_motion_that_begins_anew_is_settled_though_hello_had_a_state(bundle, motion, reset):
+    """After a reset, or of the state before a first frame."""
+    poses, transl = motion.poses.astype("f4"), motion.transl.astype("f4")
+    messages = [Poses(n, 0.0, poses[n : n + 1], transl[n : n + 1]) for n in range(1, 4)]
+    size = Avatar("shell", bundle, 8).engines["tshirt"].state_size
+    stream, fresh = Stream(bundle, state=np.full(size, 0.5 * reset, np.float32)), Stream(bundle)
+    found, expected = stream.run(*[Reset()] * reset, *messages), fresh.run(*messages)
+    assert found[-1].meshes.frames
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one.meshes.vertices["tshirt"], other.meshes.vertices["tshirt"], atol=1e-6)
 
 
 def test_times_are_for_conditioned_streams(bundle, lost):

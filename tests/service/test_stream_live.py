@@ -159,6 +159,35 @@ def test_reset_and_state(url, motion, whole):
         assert all(np.array_equal(value, moved[name]) for name, value in stream.state().items())
 
 
+def test_a_state_from_before_a_reset_is_none_of_the_motion_after_it(wire, motion, whole, monkeypatch):
+    monkeypatch.setattr("service.clients.stream.SAVE_EVERY", 1)
+    with StreamClient(f"http://127.0.0.1:{wire.port}", "shell") as stream:
+        stream.send(motion.poses[7], motion.transl[7])  # and asks for the state
+        stream.reset()
+        assert not any(state.any() for state in stream.state().values())
+        stream.send(motion.poses[7], motion.transl[7])
+        stream.reset()
+        with pytest.raises(CaphyError, match="did not answer"):  # all that came of the old motion is read
+            while True:
+                stream.receive(0.5)
+        wire.cut()
+        stream.send(motion.poses[0], motion.transl[0])
+        np.testing.assert_allclose(stream.receive().meshes.vertices["tshirt"][0], whole["tshirt"][0], atol=5e-6)
+        assert stream.reconnections == 1
+
+
+def test_the_state_may_be_asked_for_again_over_a_new_connection(wire, motion):
+    with StreamClient(f"http://127.0.0.1:{wire.port}", "shell") as stream:
+        stream.send(motion.poses[7], motion.transl[7])
+        moved = stream.state()
+        wire.cut()
+        with contextlib.suppress(CaphyError):
+            stream.receive(0.5)  # the new connection's state, which counts no poses
+        assert stream.reconnections == 1
+        again = stream.state(3.0)
+        assert all(np.array_equal(again[name], moved[name]) for name in moved)
+
+
 def test_refusals_reach_the_caller_and_the_stream_goes_on(url, motion):
     with StreamClient(url, "shell") as stream:
         stream.send(np.full((55, 3), 90.0), np.zeros(3))
