@@ -24,3 +24,8 @@ def test_render(tmp_path):
     out = tmp_path / "body.png"
     assert main(["body", "render", "--body", str(default_body_path()), "--out", str(out), "--size", "64"]) == 0
     assert cv2.imread(str(out)).shape[1] == 4 * 64
+
+
+def test_a_picture_of_no_size_is_refused(tmp_path, capsys):
+    assert main(["body", "render", "--size", "0", "--out", str(tmp_path / "a.png")]) == 2
+    assert "--size must be at least 16, got 0" in capsys.readouterr().err

@@ -36,6 +36,12 @@ def test_motions_come_at_the_avatars_rate_and_in_world_coordinates(bundle, motio
         dressed_motion(bundle, replace(motion[:2], frame="camera"))
 
 
+def test_a_motion_of_another_body_stands_where_it_stood(bundle, motion, dressed):
+    """A translation refers to where the pelvis of its own body rests, 35 cm lower in SMPL-X than here."""
+    foreign = motion.about(np.array([0.003, -0.351, 0.012]))
+    np.testing.assert_allclose(dressed_motion(bundle, foreign[:6]).transl, dressed.transl, atol=1e-6)
+
+
 def test_usd_holds_every_frame(dressed, served, tmp_path):
     stage = Usd.Stage.Open(str(write_usd(dressed, tmp_path / "walk.usdc")))
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
@@ -114,6 +120,8 @@ def test_the_command_writes_every_format(bundle, motion, tmp_path, capsys, form,
         (["--format", "glb", "-o", "a.gltf"], ".glb"),
         (["--format", "glb", "-o", "a.glb", "--within-mm", "-1"], "--within-mm"),
         (["another", "--format", "glb", "-o", "a.glb"], "one avatar bundle"),
+        (["-o", "again", "--licence", "mine"], "--licence belongs to the export of trainings"),
+        (["--format", "glb", "-o", "a.glb", "--motions", "m"], "--motions belongs to the export of trainings"),
     ],
 )
 def test_what_the_command_refuses(bundle, tmp_path, capsys, monkeypatch, arguments, word):

@@ -32,6 +32,15 @@ def test_comes_back_as_it_was(tmp_path, fields):
     assert (after.betas is None) == (before.betas is None)
 
 
+def test_a_rate_that_is_given_replaces_the_file_s_and_is_noted(tmp_path):
+    write_poses(made(notes=()), tmp_path / "a.npz")
+    assert read_poses(tmp_path / "a.npz", fps=25.0).fps == 25.0
+    assert read_poses(tmp_path / "a.npz", fps=25.0).notes == ("frame rate 25 replaces the file's 59.94",)
+    assert read_poses(tmp_path / "a.npz", fps=59.94).notes == ()
+    with pytest.raises(CaphyError, match="says that y is up, which stands; got up = 'z'"):
+        read_poses(tmp_path / "a.npz", up="z")
+
+
 def test_says_what_its_numbers_mean(tmp_path):
     write_poses(made(), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as file:  # plain arrays only

@@ -10,8 +10,10 @@ from test_measurements import dressed
 
 from caphy.body.bundled import default_body
 from caphy.errors import CaphyError
-from caphy.io.measurements import Measurement
+from caphy.io.measurements import Measurement, read_measurement, write_measurement
 from caphy.io.measurements.checks import require_plausible
+from caphy.io.poses import PoseSequence, write_poses
+from caphy.measure.scene import Scene
 from caphy.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -126,3 +128,23 @@ def test_a_body_that_cannot_have_worn_it_is_refused(make, says):
 )
 def test_one_that_can_is_believed(make, stated):
     require_plausible(make(), axes_stated=stated)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_folder_s_poses_stand_where_their_file_says_whatever_pelvis_and_axes_it_has(tmp_path, up):
+    """A translation refers to where the pelvis of its own body rests: 35 cm lower in SMPL-X than in the bundled one."""
+    worn, body = dressed(), default_body()
+    world = worn.vertices if up == "y" else worn.vertices @ Z_UP.T
+    write_measurement(replace(worn, poses=None, transl=None, vertices=world), tmp_path / "vest")
+    motion = PoseSequence(worn.poses, worn.transl, worn.fps, pelvis=body.joints[0])
+    write_poses(motion.about(np.array([0.003, -0.351, 0.012])), tmp_path / "vest" / "walk.npz")
+    told = tmp_path / "vest" / "measurement.toml"
+    told.write_text(told.read_text().replace('up_axis = "y"', f'up_axis = "{up}"') + 'poses = "walk.npz"\n')
+    read = read_measurement(tmp_path / "vest")
+    scene = Scene.of(read)
+    np.testing.assert_allclose(scene.motion.poses.transl, worn.transl, atol=1e-6)
+    np.testing.assert_allclose(scene.measurement.vertices, worn.vertices, atol=1e-5)
+    write_measurement(read, tmp_path / "vest.npz")
+    again = read_measurement(tmp_path / "vest.npz").about(body.joints[0])
+    np.testing.assert_allclose(again.transl, worn.transl, atol=1e-6)
+    assert again.pelvis is None and again.about(np.ones(3)) is again

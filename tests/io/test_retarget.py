@@ -1,6 +1,7 @@
 """Retargeted motions: limbs point where the source's point, feet stand, legs bend forward."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence, placed_on, read_poses
 from caphy.io.poses.bvh import read_bvh
-from caphy.io.poses.cmu import without_calibration_frame
+from caphy.io.poses.cmu import upright, without_calibration_frame
 from caphy.io.procedural import procedural_motion
 from caphy.io.retarget import retarget
 from caphy.io.retarget_names import cmu_joints
@@ -164,6 +165,25 @@ def test_a_skeleton_upside_down_is_refused(tmp_path):
     (tmp_path / "a.bvh").write_text(flipped)
     with pytest.raises(CaphyError, match="legs down"):
         read_poses(tmp_path / "a.bvh")
+
+
+def test_a_skeleton_with_z_up_is_refused_and_read_where_that_is_said(shared_data, tmp_path):
+    """Offsets, rotations and places turned alike, as programs whose axes are z up write it."""
+    motion = without_calibration_frame(read_bvh(shared_data / "cmu_mocap" / "bvh" / "02_01.bvh"))
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    turned = replace(
+        motion,
+        offsets=motion.offsets @ turn.T,
+        tips=motion.tips @ turn.T,
+        rotations=turn @ motion.rotations @ turn.T,
+        root=motion.root @ turn.T,
+    )
+    with pytest.raises(CaphyError, match=r"its shins point .* if z is up in the file say so \(--up z\)"):
+        retarget(turned, default_rest())
+    np.testing.assert_allclose(upright(turned, "z").root, motion.root, atol=1e-12)
+    there, here = (retarget(each, default_rest()) for each in (upright(turned, "z"), motion))
+    np.testing.assert_allclose(there.poses, here.poses, atol=1e-9)
+    np.testing.assert_allclose(there.transl, here.transl, atol=1e-9)
 
 
 def test_a_motion_of_another_body_is_set_on_the_ground():

@@ -16,7 +16,8 @@ from caphy.io.poses import write_poses
 from service.client import Client
 
 
-def test_demo_writes_a_glb_and_a_sheet(avatars, motion, tmp_path, capsys):
+def test_demo_writes_a_glb_and_a_sheet(avatars, motion, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("CAPHY_API_KEY", "k" * 32)  # of the user's own service, not of the demo's
     write_poses(motion, tmp_path / "walk.npz")
     out = tmp_path / "out"
     arguments = ["demo", str(tmp_path / "walk.npz"), "--avatar", str(avatars / "shell"), "--out", str(out)]
@@ -30,6 +31,13 @@ def test_demo_writes_a_glb_and_a_sheet(avatars, motion, tmp_path, capsys):
     assert sheet.shape[1] == 6 * 280
     assert np.std(sheet) > 10
     assert sorted(path.name for path in out.iterdir()) == ["avatar.glb", "sheet.png"]
+
+
+@pytest.mark.parametrize("arguments", [["demo"], ["simulate", "tshirt", "walk.npz", "-o", "out.npz"]])
+def test_endless_motions_are_refused(arguments, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main([*arguments, "--seconds", "inf"]) == 2
+    assert "--seconds must be positive and finite, got inf" in capsys.readouterr().err
 
 
 def test_demo_without_an_avatar_says_what_to_do(tmp_path, capsys):

@@ -25,15 +25,15 @@ def read_cmu_bvh(path: Path, fps: float | None = None, up: Literal["y", "z"] | N
 
     Raises :class:`CaphyError`.
     """
-    return retarget(without_calibration_frame(_upright(read_bvh(path, fps), up)), default_rest())
+    return retarget(without_calibration_frame(upright(read_bvh(path, fps), up)), default_rest())
 
 
 def read_cmu_amc(path: Path, fps: float | None = None, up: Literal["y", "z"] | None = None) -> PoseSequence:
     """A clip of the CMU database as AMC with its ASF beside it; ``fps`` [Hz] must be given."""
-    return retarget(_upright(read_amc(path, fps), up), default_rest())
+    return retarget(upright(read_amc(path, fps), up), default_rest())
 
 
-def _upright(motion: SkeletonMotion, up: Literal["y", "z"] | None) -> SkeletonMotion:
+def upright(motion: SkeletonMotion, up: Literal["y", "z"] | None) -> SkeletonMotion:
     """The motion with y up, skeleton and world turned alike."""
     if up != "z":
         return motion
