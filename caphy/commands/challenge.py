@@ -157,8 +157,8 @@ def verdict(answer: dict, diagnosis: dict) -> str:
         return "right" if diagnosis["verdict"] == answer["verdict"] else "wrong"
     if found == hidden:
         return "right"
-    similar = {name for name in hidden if any(f in answer["alike"].get(name, ()) for f in found)}
-    if similar | (found & hidden) == hidden:
+    alike = {name: {name, *answer["alike"].get(name, ())} for name in hidden}
+    if all(found & names for names in alike.values()) and found <= set().union(*alike.values()):
         return "near: what was named moves the cloth much like what was hidden"
     missed = ", ".join(sorted(hidden - found)) or "nothing"
     return f"wrong: missed {missed}; named without reason: {', '.join(sorted(found - hidden)) or 'nothing'}"

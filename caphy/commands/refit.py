@@ -137,7 +137,7 @@ def _write(
     write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
     write_text(command.output, new.to_json())  # last: it may take the place of the model that a stopped run begins with
     print(f"\n{command.output}\n{page}")
-    files = (word for file in command.effect_file for word in ("--effect-file", file))
+    files = ("--effect-file", *command.effect_file) if command.effect_file else ()
     train = following("train", "--init", "AVATAR", "--model", command.output, *files)
     print(f"next: {train} ...   (the network learns it)")
 

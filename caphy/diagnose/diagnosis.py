@@ -226,7 +226,7 @@ def _concluded(
     kept = terms if verdict in ("named", "parameters") else []
     by_base = None if base is None or not base.changed else _by_base(apart, given, start)
     if not kept:
-        errors = by_base if by_base is not None else errors and errors.unchanged
+        errors = by_base or (errors.unchanged if errors is not None else _of_none(apart, start))
     similar = {term.group.name: alike(found, term) for term in kept}
     return Diagnosis(
         verdict=verdict,
@@ -259,6 +259,14 @@ def _by_base(apart: Apart | None, given: Model, start: Model) -> HeldOut | None:
     """What parameters that base measurements moved do to held-out errors; none where cloth flies apart without that."""
     try:
         return None if apart is None else apart.between(given, start)
+    except Diverged:
+        return None
+
+
+def _of_none(apart: Apart | None, start: Model) -> HeldOut | None:
+    """Held-out errors where nothing was accepted; none without such measurements, or where cloth flies apart there."""
+    try:
+        return None if apart is None else apart.of(start)
     except Diverged:
         return None
 

@@ -11,7 +11,7 @@ from caphy.diagnose.search import Search, Term
 from caphy.refit.columns import addition, further
 from caphy.refit.fit import Fit
 from caphy.refit.heldout import Apart
-from caphy.refit.laws import LEAST, in_another_law, law_of, signed_ranks, told_further, way
+from caphy.refit.laws import LEAST, in_another_law, laws_of, signed_ranks, told_further, way
 from caphy.refit.study import Study
 
 SURE = 2.0
@@ -19,8 +19,8 @@ SURE = 2.0
 
 
 def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None:
-    """Put each accepted effect into the law that meets more windows better; those as good are even. And fit parameters
-    of it that are not linear, if that does as much.
+    """Put each accepted effect into the law that meets more windows better, of several one after another; those as good
+    are even. And fit parameters of it that are not linear, if that does as much.
 
     Laws have as many numbers, so that windows held out, if there are any, tell like the others. Tangents tell, from
     either end of the way between the fits, and windows count by rank: where a fold snaps under one law and not under
@@ -30,9 +30,12 @@ def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None
         if term.group.own or found.fit is None:
             continue
         name, variance, weight = term.group.name, found.screens[0].variance, found.screens[0].evidence.weight
-        if (law := law_of(name)) is not None:
-            fitted = in_another_law(study, found.fit, law, variance, weight)
-            found.terms[place] = _settled(study, found, term, Group(law, addition(law)), fitted, apart)
+        if laws := laws_of(name):
+            linear = found.fit
+            for law in laws:
+                fitted = in_another_law(study, linear, law, variance, weight)
+                group = Group(law, addition(law))
+                found.terms[place] = _settled(study, found, found.terms[place], group, fitted, apart)
         elif more := further(name):
             fitted = told_further(study, found.fit, name, variance, weight)
             found.terms[place] = _settled(study, found, term, Group(name, (*term.group.columns, *more)), fitted, apart)

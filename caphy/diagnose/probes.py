@@ -39,6 +39,11 @@ def _axes(scalar: Tensor) -> list[Tensor]:
     return [scalar[..., None] * axis for axis in torch.eye(3, dtype=scalar.dtype)]
 
 
+def _places(modes: np.ndarray) -> Tensor:
+    """The first modes (V, 9); zero where a cloth of few vertices has fewer, so that fields keep their places."""
+    return torch.from_numpy(np.pad(modes, ((0, 0), (0, max(0, _PLACES - modes.shape[1]))))[:, :_PLACES])
+
+
 def world_direction(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
     return torch.stack(_axes(torch.ones_like(x[..., 0])))
 
@@ -49,8 +54,8 @@ def velocity(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyS
 
 
 def material_place(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
-    places = torch.from_numpy(modes[:, :_PLACES])
-    return torch.stack([field for k in range(places.shape[1]) for field in _axes(places[:, k].expand(x.shape[:-1]))])
+    places = _places(modes)
+    return torch.stack([field for k in range(_PLACES) for field in _axes(places[:, k].expand(x.shape[:-1]))])
 
 
 def material_place_in_time(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
@@ -67,8 +72,8 @@ def place_in_space(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body:
 
 def along_normal(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:
     normal = vertex_normals(cloth, step.lagged)
-    places = torch.from_numpy(modes[:, :_PLACES])
-    return torch.stack([places[:, k, None] * normal for k in range(places.shape[1])])
+    places = _places(modes)
+    return torch.stack([places[:, k, None] * normal for k in range(_PLACES)])
 
 
 def clock(cloth: Cloth, modes: np.ndarray, x: Tensor, step: Step, body: BodyState | None) -> Tensor:

@@ -38,7 +38,11 @@ def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment:
     resampled = motion.resample(bundle.fps)
     vertices = run_graph(garment, resampled.poses, resampled.transl)
     frames = measurement.seen_frames
-    place = np.clip((frames + before) * bundle.fps / measurement.fps, 0, len(vertices) - 1)
+    place = (frames + before) * bundle.fps / measurement.fps
+    reached = place <= len(vertices) - 1 + 1e-6  # the network's last frame may lie before the measurement's
+    if reached.any():
+        frames, place = frames[reached], place[reached]
+    place = np.clip(place, 0, len(vertices) - 1)
     first = np.minimum(place.astype(int), max(len(vertices) - 2, 0))
     share = (place - first)[:, None, None]
     second = np.minimum(first + 1, len(vertices) - 1)

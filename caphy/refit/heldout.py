@@ -142,6 +142,11 @@ class Apart:
         rare = where_few_decide(before, known, self.variance, fitted.change)
         return self._held_out(old, new, *summed(shares + by_telling), rare, across(fitted))
 
+    def of(self, model: Model) -> HeldOut:
+        """Roll out a model to which nothing was done."""
+        rolled = self.study.afresh().respond(model, (), "held-out windows", anew={"solver"})
+        return self._held_out(rolled, rolled, 0.0, 0.0)
+
     def between(self, before: Model, after: Model) -> HeldOut:
         """Roll out two models of which nothing else is known; their misfits are compared as they are."""
         study = self.study.afresh()

@@ -23,9 +23,9 @@ LEAST = 1.0
 """By how many standard deviations of the signed ranks' sum another law must be better."""
 
 
-def law_of(name: str) -> str | None:
-    """The effect that refines another, if there is one."""
-    return next((law for law, effect in registered_effects().items() if effect.refines == name), None)
+def laws_of(name: str) -> list[str]:
+    """The effects that refine another: other laws of it."""
+    return [law for law, effect in registered_effects().items() if effect.refines == name]
 
 
 def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weight: np.ndarray) -> Fit:

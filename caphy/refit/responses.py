@@ -200,17 +200,16 @@ class Watched:
         self._starts.update(zip(frames, of_start, strict=True))
 
     def _abrupt(self, model: Model, columns: Sequence[Column]) -> dict[int, tuple[float, Simulator]]:
-        """Where columns are whose first bit does all: the default of each, and a simulator of the model with it."""
+        """Where columns are whose first bit does all: the default of each, and a simulator of the model with it.
+
+        Of those that are nothing by default tangents tell.
+        """
         found = {}
         for place, column in enumerate(columns):
-            effect = find_effect(column.effect)
-            if (
-                effect.abrupt
-                and column.entry is not None
-                and column.value(model) == 0
-                and (self.scene.motion is not None or not effect.needs_body)
-            ):
-                amount = float(column.declared.default)  # type: ignore[arg-type]
+            effect, amount = find_effect(column.effect), 0.0
+            if effect.abrupt and column.entry is not None:
+                amount = float(np.asarray(column.declared.default)[column.entry])
+            if amount and column.value(model) == 0 and (self.scene.motion is not None or not effect.needs_body):
                 found[place] = amount, _simulator(self.scene, moved(model, (column,), np.array([amount])))
         return found
 

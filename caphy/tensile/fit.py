@@ -51,8 +51,9 @@ class Bench:
         return sum(len(test.loadings) for test in self.tests)
 
     def with_tests(self, tests: list[Tests]) -> Bench:
-        """The same strips, other loadings."""
-        return replace(self, tests=tests)
+        """The same strips, other loadings; of a direction that was not learned from too."""
+        strips = {test.direction: Strip(test.axial, test.direction) for test in tests} | self.strips
+        return replace(self, tests=tests, strips=strips)
 
     def models(self, numbers: Sequence[Number], values: np.ndarray) -> tuple[Model, Model]:
         """The model of the first loading and that of used cloth."""

@@ -54,6 +54,7 @@ def refit_curves(
     Raises:
         CaphyError: as :func:`caphy.tensile.diagnose_curves`, and for effects that such tests cannot show.
     """
+    add = tuple(dict.fromkeys(add))
     learning, held, cautions = split(curves, held_out)
     seen = candidates(model)
     _check(add, seen, model)

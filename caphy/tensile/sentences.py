@@ -63,15 +63,15 @@ def _fabrics(d: CurveDiagnosis) -> list[str]:
         return []
     sentences = []
     for key, how in _TRANSFER.items():
-        middle = {
-            stage: sum(row[key]["relative"][stage] for row in d.fabrics.values()) / len(d.fabrics)
-            for stage in ("parameters", "with effects")
-        }
+        told = [row[key]["relative"] for row in d.fabrics.values() if row[key]]
+        if not told:
+            continue
+        middle = {stage: sum(each[stage] for each in told) / len(told) for stage in ("parameters", "with effects")}
         before, after = (100 * middle[stage] for stage in ("parameters", "with effects"))
         verb = "falls" if after < before else "rises"
         sentences.append(
             f"On fabrics that were left out, {how}, the error {verb} from {before:.0f} % to {after:.0f} % "
-            f"(mean of {len(d.fabrics)})."
+            f"(mean of {len(told)})."
         )
     return sentences
 

@@ -84,7 +84,8 @@ def few_shot(
     What used cloth has comes from the other fabrics (``held``).
 
     Returns:
-        all its other loadings, and their residuals (L, 2, B) with its parameters and with the effects.
+        all its other loadings, and their residuals (L, 2, B) with its parameters and with the effects; none where
+        there is but one of each direction.
     """
     learning, rest = [], []
     for test in bench.tests:
@@ -92,6 +93,8 @@ def few_shot(
         learning.append(replace(test, loadings=(one,)))
         others = tuple(x for x in test.loadings if x is not one)
         rest += [replace(test, loadings=others)] if others else []
+    if not rest:
+        return [], {}
     plain = Search({"": replace(bench, tests=learning, held=())}, base).fit("")
     named = Search({"": replace(bench, tests=learning, held=held)}, base).fit("", numbers_of(names))
     stages = {"parameters": plain, "with effects": named}

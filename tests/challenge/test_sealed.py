@@ -56,7 +56,15 @@ def test_a_missing_answer_says_how_to_make_one(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("found", "word"), [(["pressure"], "right"), (["wind_normal"], "near"), (["gust"], "wrong"), ([], "wrong")]
+    ("found", "word"),
+    [
+        (["pressure"], "right"),
+        (["wind_normal"], "near"),
+        (["pressure", "wind_normal"], "near"),
+        (["gust"], "wrong"),
+        ([], "wrong"),
+        (["pressure", "gust"], "wrong: missed nothing; named without reason: gust"),
+    ],
 )
 def test_verdicts(found, word):
     assert verdict(ANSWER, {"verdict": "named", "found": found}).startswith(word)

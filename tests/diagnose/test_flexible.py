@@ -7,9 +7,14 @@ from typing import cast
 
 import numpy as np
 import pytest
+import torch
 
+from caphy.challenge.sheets import users_square
 from caphy.diagnose.flexible import Flexible
-from caphy.diagnose.probes import ORDER, STEADY, TO_AND_FRO, WIDTHS, probe_places
+from caphy.diagnose.probes import ORDER, STEADY, TO_AND_FRO, WIDTHS, probe_places, probe_pushes, vertex_normals
+from caphy.effects.base import Step
+from caphy.effects.cloth import Cloth
+from caphy.refit.modes import laplacian_modes
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
 
@@ -44,3 +49,17 @@ def test_a_swing_is_told_as_well_minutes_later(first):
     share = 1 - np.square(noises).sum() / sum(np.square(each.residual).sum() for each in windows)
     assert found.gains[TO_AND_FRO] == pytest.approx(share, abs=0.02)
     assert found.gains[STEADY] < 0.5 * share
+
+
+def test_cloth_of_few_vertices_has_all_fields():
+    """Of nine there are seven modes; what later fields are is told by their places."""
+    cloth = Cloth.of(users_square(3), 0.2)
+    modes = laplacian_modes(cloth)
+    assert modes.shape[1] < 9
+    x = torch.from_numpy(np.asarray(cloth.vertices))
+    step = Step.implicit_euler(1 / FPS, x, x, 0.5)
+    pushes, places = probe_pushes(cloth, modes, x, step, None), probe_places()
+    assert len(pushes) == sum(WIDTHS.values())
+    area = torch.from_numpy(cloth.vertex_area)[:, None]
+    normals = -area * torch.from_numpy(modes[:, :1]) * vertex_normals(cloth, step.lagged)
+    torch.testing.assert_close(pushes[places["direction of the cloth's normal"][0]], normals)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -11,7 +12,10 @@ import pytest
 from explicit_cloth import measured, simulate, square
 from scipy.stats import wilcoxon
 
+from caphy.diagnose import laws as settling
 from caphy.diagnose.diagnosis import diagnose
+from caphy.diagnose.groups import Group
+from caphy.diagnose.search import Term
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
@@ -116,6 +120,28 @@ def test_two_laws_of_one_effect_are_refused(films):
         refit(MODEL, films[:1], ("wind_normal", "wind_normal_quadratic"))
     with pytest.raises(CaphyError, match="another law of wind_normal"):
         refit(MODEL.with_effect("wind_normal"), films[:1], ("wind_normal_quadratic",))
+
+
+def test_every_law_of_an_effect_is_tried_from_the_linear_fit(monkeypatch):
+    """A law of one's own beside one that comes along: neither hides the other."""
+    effects = {name: SimpleNamespace(refines="wind_normal") for name in ("wind_normal_quadratic", "zephyr")}
+    monkeypatch.setattr(laws, "registered_effects", lambda: {"pressure": SimpleNamespace(refines=None), **effects})
+    assert laws.laws_of("wind_normal") == ["wind_normal_quadratic", "zephyr"] and laws.laws_of("pressure") == []
+    term = Term(Group("wind_normal", addition("wind_normal")), None, {})
+    linear = SimpleNamespace(name="linear")
+    screens = [SimpleNamespace(variance=None, evidence=SimpleNamespace(weight=None))]
+    found, tried = SimpleNamespace(terms=[term], fit=linear, screens=screens), []
+
+    def settled(study, found, term, group, after, apart):
+        found.fit = after  # as where it is better
+        return replace(term, group=group)
+
+    monkeypatch.setattr(settling, "in_another_law", lambda _, best, law, *__: tried.append((best, law)) or law)
+    monkeypatch.setattr(settling, "addition", lambda law: ())
+    monkeypatch.setattr(settling, "_settled", settled)
+    settling.settle_laws(None, found)
+    assert tried == [(linear, "wind_normal_quadratic"), (linear, "zephyr")]
+    assert found.terms[0].group.name == "zephyr"
 
 
 def test_signed_ranks_are_those_of_another_package():

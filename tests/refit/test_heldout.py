@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from explicit_cloth import measured, simulate
 
 from caphy.effects.model import Model
@@ -15,7 +16,7 @@ from caphy.refit.evidence import evidence, robust_weights
 from caphy.refit.fit import judged
 from caphy.refit.heldout import Apart
 from caphy.refit.learned import Learned
-from caphy.refit.responses import Response
+from caphy.refit.responses import Response, median_mm
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -106,3 +107,11 @@ def test_two_models_are_compared_alike_whatever_was_judged_before() -> None:
     whole = [(each.residual**2).sum() for each in Coarse(Coarse.RATE).respond(model, columns)]
     before = [(each.residual**2).sum() for each in responses]
     np.testing.assert_allclose(ends[0], 1 - sum(whole) / sum(before), rtol=0.05)
+
+
+def test_a_model_alone_has_one_error() -> None:
+    """As where nothing was added to it."""
+    study = Study([Scene.of(measured(*simulate(seconds=1.2), seed=1))])
+    apart = Apart(study, np.ones((1, 1)))
+    alone, again = apart.of(MODEL), median_mm(Study(study.scenes).respond(MODEL, ()))
+    assert alone.before_mm == alone.after_mm == pytest.approx(again) and alone.share == alone.share_error == 0.0

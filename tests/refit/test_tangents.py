@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.trial import irregular_cloth, moment
 from caphy.measure.scene import Scene
-from caphy.refit import tangents
+from caphy.refit import responses, tangents
 from caphy.refit.columns import Column, moved
 from caphy.refit.responses import Watched
 
@@ -159,3 +160,14 @@ def test_bending_damping_of_another_past_is_told_as_by_differences(lead):
     tangents._of_damping(loop, stage, change, told)
     wanted = tangents._along_history(potential, "bending_damping", stage, change)
     torch.testing.assert_close(told, wanted, rtol=0, atol=1e-5 * float(wanted.abs().max()))
+
+
+@pytest.mark.parametrize(("default", "told"), [((0.3, 0.2), {1: (0.2, "its simulator")}), ((0.3, 0.0), {})])
+def test_what_is_abrupt_is_rolled_out_with_its_default_of_each_entry(monkeypatch, default, told):
+    """Of friction along weft and warp, say; what is nothing by default is told by tangents."""
+    monkeypatch.setattr(responses, "find_effect", lambda _: SimpleNamespace(abrupt=True, needs_body=False))
+    monkeypatch.setattr(responses, "moved", lambda *_: None)
+    monkeypatch.setattr(responses, "_simulator", lambda *_: "its simulator")
+    here = {"effect": "mine", "declared": SimpleNamespace(default=default), "value": lambda _: 0.0}
+    columns = [SimpleNamespace(entry=None, **here), SimpleNamespace(entry=(1,), **here)]
+    assert Watched._abrupt(SimpleNamespace(scene=SimpleNamespace(motion=None)), None, columns) == told

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from caphy.tensile import diagnose_curves, refit_curves
 from caphy.tensile.between import TOO_FEW
 from caphy.tensile.report import write
 from caphy.tensile.strip import Strip
+from caphy.tensile.unexplained import drift
 
 LAMBDA, MU, TOP = 20.0, 15.0, 0.25
 
@@ -144,6 +147,47 @@ def test_held_out_loadings_are_foretold():
     assert [(e.direction, e.loading) for e in answer.loadings] == [("weft", 4), ("warp", 4)]
     error = answer.loadings[0]
     assert error.floor is not None and error.rms["with effects"] < 1.6 * error.floor < 0.3 * error.rms["as given"]
+
+
+def test_a_direction_that_was_not_learned_from_is_foretold_too():
+    curves = measured(isotropic(), TOP, 2)
+    learned, away = ([c for c in curves if c.direction == direction] for direction in ("weft", "warp"))
+    answer = diagnose_curves(model(), learned, away[:1])
+    assert [(e.direction, e.loading) for e in answer.loadings] == [("warp", 1)]
+
+
+def test_a_fabric_left_out_with_one_loading_of_each_direction_is_told_by_the_others_numbers(tmp_path):
+    """Of its own numbers none could be tried on another of its loadings."""
+    curves = measured(isotropic(fourth=1500.0), TOP, 1)
+    once = [replace(c, fabric="other") for c in curves if c.loading == 1]
+    answer = diagnose_curves(model(), curves, once)
+    row = answer.fabrics["other"]
+    assert row["own numbers"] == {} and row["their numbers"]["loadings"] == 2
+    assert not any("numbers from one repeat" in sentence for sentence in answer.sentences)
+    write(answer, tmp_path)
+    assert any("no other loading" in page.read_text() for page in tmp_path.glob("*.html"))
+
+
+@pytest.mark.parametrize("further", [1.0, 1.3])
+def test_loadings_that_are_pulled_further_each_time_do_not_drift(further):
+    """Their mean force rises under the same law."""
+    tops, grid = TOP * further ** np.arange(-3, 1), np.linspace(0, TOP, 24)
+    repeats = 1 + 0.01 * np.array([[0.0], [1.0], [-1.0], [0.5]])
+    force = np.where(grid <= tops[:, None] + 1e-12, 300.0 * repeats * (grid + 1e-3), np.nan)
+    assert drift({"a": _bench(force)}) is None
+    assert drift({"a": _bench(force * 1.1 ** np.arange(4)[:, None])}) == pytest.approx(0.1, abs=0.01)
+
+
+def _bench(forces):
+    """A fit as far as a drift looks at it."""
+    loadings = [SimpleNamespace(force=f, curve=SimpleNamespace(loading=i + 1)) for i, f in enumerate(forces)]
+    return SimpleNamespace(bench=SimpleNamespace(tests=[SimpleNamespace(loadings=loadings)]))
+
+
+def test_an_effect_that_is_asked_for_twice_is_added_once():
+    curves = measured(isotropic(fourth=1500.0), TOP, 1)
+    one, two = (refit_curves(model(), curves, add=["strain_stiffening"] * many) for many in (1, 2))
+    assert two.kept == ("strain_stiffening",) and two.outcome.coefficients == one.outcome.coefficients
 
 
 def test_a_refit_refuses_what_does_not_help():
