@@ -15,6 +15,7 @@ import numpy as np
 from caphy.conventions import JOINT_COUNT
 from caphy.errors import CaphyError
 from caphy.garment import topology
+from caphy.io.unpacked import require_unpackable
 
 FORMAT = "caphy-garment-1"
 REALS = ("vertices", "material", "weights", "layer_thickness", "attached")
@@ -146,6 +147,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     Raises
         CaphyError: if the file is missing or is no npz of plain arrays.
     """
+    require_unpackable(path)
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}

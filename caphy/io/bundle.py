@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import re
 import shutil
 import tempfile
@@ -26,6 +25,7 @@ from caphy.body.kinematics import joint_transforms
 from caphy.body.skinning import blend_transforms, skin
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.errors import CaphyError
+from caphy.io.places import swap
 from caphy.rotations import matrix_from_axis_angle
 
 SCHEMA: Final = "caphy-avatar-1"
@@ -143,7 +143,7 @@ class AvatarBundle:
 
 
 def write_bundle(bundle: AvatarBundle, folder: str | Path) -> None:
-    """Write a bundle; a reader sees the old directory or the new one, never half of it.
+    """Write a bundle; a reader sees the old directory or the new one, or for an instant none, never half of one.
 
     Raises CaphyError where the bundle's arrays do not fit together, or ``folder`` holds something else.
     """
@@ -158,7 +158,7 @@ def write_bundle(bundle: AvatarBundle, folder: str | Path) -> None:
         for name, content in files.items():
             (partial / name).write_bytes(content)
         partial.chmod(0o755)
-        _swap(partial, folder)
+        swap(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
@@ -167,21 +167,6 @@ def require_place(folder: Path) -> None:
     """Raise :class:`CaphyError` where a bundle would overwrite something else."""
     if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
         raise CaphyError(f"{folder}: exists and is no avatar bundle; choose another place or remove it")
-
-
-def _swap(new: Path, folder: Path) -> None:
-    """Put directory ``new`` in the place of ``folder``; what stood there ends up in ``new``'s place."""
-    if not folder.exists():
-        os.replace(new, folder)
-        return
-    aside = new.with_name(f"{new.name}.old")
-    os.replace(folder, aside)
-    try:
-        os.replace(new, folder)
-    except OSError:
-        os.replace(aside, folder)
-        raise
-    os.replace(aside, new)
 
 
 def read_bundle(folder: str | Path) -> AvatarBundle:

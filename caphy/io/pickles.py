@@ -21,9 +21,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io import tensors
-
-MAX_BYTES: Final = 4 * 2**30
-"""Largest content read, after decompression."""
+from caphy.io.unpacked import MAX_BYTES
 
 _OPENERS: Final[dict[bytes, Callable[[], Any]]] = {
     b"\x78": zlib.decompressobj,

@@ -56,3 +56,21 @@ def write_text(path: Path, text: str) -> None:
             raise
     except OSError as error:
         raise CaphyError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def swap(new: Path, folder: Path) -> None:
+    """Put directory ``new`` in the place of ``folder``; what stood there ends up in ``new``'s place.
+
+    A reader sees either, or for the instant between two renamings none, never a mixture.
+    """
+    if not folder.exists():
+        os.replace(new, folder)
+        return
+    aside = new.with_name(f"{new.name}.old")
+    os.replace(folder, aside)
+    try:
+        os.replace(new, folder)
+    except OSError:
+        os.replace(aside, folder)
+        raise
+    os.replace(aside, new)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -296,3 +298,23 @@ def test_periodic_still_and_noisy_motion_is_in_order():
     fast[..., 1], fast[..., 2] = _turned(given.rest_vertices, angle)
     for vertices in (still, fast + random.normal(0, 0.002, fast.shape)):
         require_plausible(replace(given, vertices=vertices, pinned=None, pinned_positions=None))
+
+
+def test_a_folder_takes_another_s_place_whole(tmp_path, monkeypatch):
+    """Where the new one cannot be put there, the old one stands as it did."""
+    write_measurement(dressed(8), tmp_path / "vest")
+    replaced, before = os.replace, sorted(path.name for path in (tmp_path / "vest").iterdir())
+
+    def fails(one, other):
+        if Path(other) == tmp_path / "vest" and ".old" not in str(one):
+            raise OSError("no")
+        replaced(one, other)
+
+    monkeypatch.setattr(os, "replace", fails)
+    with pytest.raises(OSError, match="no"):
+        write_measurement(dressed(6), tmp_path / "vest")
+    assert sorted(path.name for path in (tmp_path / "vest").iterdir()) == before
+    assert len(read_measurement(tmp_path / "vest")) == 8
+    monkeypatch.undo()
+    write_measurement(dressed(6), tmp_path / "vest")
+    assert len(read_measurement(tmp_path / "vest")) == 6 and [path.name for path in tmp_path.iterdir()] == ["vest"]

@@ -15,6 +15,7 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.io.measurements.measurement import Measurement
 from caphy.io.poses.sequence import Y_UP_FROM_Z_UP, PoseSequence
+from caphy.io.unpacked import require_unpackable
 
 FORMAT: Final = "caphy-measurement-1"
 ARRAYS: Final = tuple(
@@ -30,6 +31,7 @@ _OTHER = ("format", "name", "fps", "noise_mm", "up_axis", "frame_index", "frame_
 
 def read_archive(path: Path) -> tuple[Measurement, bool]:
     """The measurement in an npz, and whether the file states its up axis."""
+    require_unpackable(path)
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}

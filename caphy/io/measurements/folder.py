@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import tempfile
@@ -17,6 +16,8 @@ from caphy.errors import CaphyError
 from caphy.io.measurements.archive import ARRAYS, STEADY, from_arrays, to_arrays
 from caphy.io.measurements.checks import mesh_edges
 from caphy.io.measurements.measurement import Measurement
+from caphy.io.places import swap
+from caphy.io.unpacked import require_unpackable
 
 DESCRIPTION: Final = "measurement.toml"
 EXTRA: Final = "arrays.npz"
@@ -88,16 +89,14 @@ def _first_frame(files: dict[int, Path], arrays: dict[str, Any], description: di
 
 
 def write_folder(measurement: Measurement, folder: Path) -> None:
-    """Write a folder; a reader sees it whole or not at all."""
+    """Write a folder; a reader sees it whole or not at all. What stood there is removed once the new one is there."""
     if folder.exists() and not (folder / DESCRIPTION).is_file():
         raise CaphyError(f"{folder}: exists and is no measurement; choose another name")
     partial = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
         _fill(measurement, partial)
         partial.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        os.replace(partial, folder)
+        swap(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
@@ -162,6 +161,7 @@ def _extra(folder: Path, description: dict[str, Any]) -> dict[str, Any]:
     if "arrays" not in description:
         return {}
     path = folder / description["arrays"]
+    require_unpackable(path)
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.io.unpacked import require_unpackable
 
 
 class Archive:
@@ -14,6 +15,7 @@ class Archive:
 
     def __init__(self, path: Path):
         self.path = Path(path)
+        require_unpackable(self.path)
         try:
             file = np.load(self.path, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
