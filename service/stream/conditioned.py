@@ -14,8 +14,8 @@ from caphy.errors import CaphyError
 from service.conditioned import arrays, settled_at
 
 NEVER: Final = -1
-CLOSE: Final = 1e-6
-"""Frames."""
+CLOSE: Final = 1.0
+"""Frames by which a message may span more: full messages of poses at rates a little below the avatar's (29.97) do."""
 
 
 @dataclass(frozen=True, eq=False)

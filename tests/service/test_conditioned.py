@@ -249,7 +249,15 @@ SPAN = np.arange(1, 32) * 0.97
 """Time stamps [s] of which each step is one that a stream fills in, and nearly as long as one that it does not."""
 
 
-@pytest.mark.parametrize("times", [[0.5, 0.9, 1.1], SPAN, [*SPAN, 0.97], [0.97, np.nan, *SPAN[2:], np.nan]])
+def test_full_messages_at_a_rate_just_below_the_avatars_are_taken(bundle, motion):
+    """29.97 frames a second: 32 poses span 32.03 frames of the avatar's, from the pose before on."""
+    poses, transl = np.repeat(motion.poses[:1], 32, 0).astype("f4"), np.repeat(motion.transl[:1], 32, 0).astype("f4")
+    stream, sure = Stream(bundle), np.ones((32, 55), np.float32)
+    for number in (1, 33, 65):
+        stream.run(Seen(number, 0.0, poses, transl, (number + np.arange(32)) / 29.97, sure))
+
+
+@pytest.mark.parametrize("times", [[0.5, 0.9, 1.2], SPAN, [*SPAN, 0.97], [0.97, np.nan, *SPAN[2:], np.nan]])
 def test_times_that_make_too_many_frames_are_refused_whatever_their_order(bundle, motion, times):
     poses, transl = np.repeat(motion.poses[:1], 32, 0).astype("f4"), np.repeat(motion.transl[:1], 32, 0).astype("f4")
     count, sure = len(times), np.ones((32, 55), np.float32)

@@ -1,4 +1,4 @@
-/* built from sources 177f5c2a593177d2272e6d6109a9f3d6b19fa3eebfb3cedf7b19c2def26e9ced */
+/* built from sources 20667ccc0c6a324b1b0a13f64e86c72648ada134c37e9749229e02c361195309 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
