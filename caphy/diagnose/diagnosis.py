@@ -38,7 +38,7 @@ from caphy.refit.study import Study
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A fitted number: value, interval of 95 % and unit; a relative change has the unit 1."""
+    """A fitted number: value, interval of 95 % and unit; 1 is that of relative changes, and of frictions and the like."""
 
     value: float
     low: float
