@@ -38,7 +38,7 @@ from caphy.refit.study import Study
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A fitted number: value, interval of 95 % and unit; 1 is that of relative changes, and of frictions and the like."""
+    """A fitted number: value, interval of 95 % and unit; 1 is that of relative changes, of frictions and the like."""
 
     value: float
     low: float
