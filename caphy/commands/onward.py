@@ -65,12 +65,16 @@ _RATE = "learning_rate"  # of no other record
 
 
 def _require_own(folder: Path) -> None:
-    """Raise CaphyError where another training would be overwritten."""
+    """Raise CaphyError where another training would be overwritten, one whose record is lost or damaged included."""
     if not (folder / NAME).is_file():
         return
-    if _RATE not in json.loads((folder / RECORD).read_text()):
+    try:
+        own = _RATE in json.loads((folder / RECORD).read_text())
+    except (OSError, ValueError):
+        own = False
+    if not own:
         raise CaphyError(
-            f"{folder}: holds a training that 'caphy train' began, which would be lost; move it to another folder"
+            f"{folder}: holds a training that was not begun so, which would be lost; move it to another folder"
         )
 
 

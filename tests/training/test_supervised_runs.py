@@ -188,8 +188,12 @@ def test_what_went_on_from_another_network_is_not_gone_on_with(world):
 def test_a_training_of_another_command_is_not_overwritten(world):
     shutil.copytree(world / "with", world / "mine")
     before = (world / "mine" / NETWORK).read_bytes()
-    with pytest.raises(CaphyError, match="mine: holds a training that 'caphy train' began"):
-        onward(reopen(world / "alone"), snug_model(), 2, world / "mine")
+    for record in ((world / "mine" / "run.json").read_text(), "{", None):  # as it is, damaged, lost
+        (world / "mine" / "run.json").unlink()
+        if record is not None:
+            (world / "mine" / "run.json").write_text(record)
+        with pytest.raises(CaphyError, match="mine: holds a training that was not begun so"):
+            onward(reopen(world / "alone"), snug_model(), 2, world / "mine")
     assert (world / "mine" / NETWORK).read_bytes() == before and (world / "mine" / METRICS).is_file()
 
 
