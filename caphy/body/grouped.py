@@ -24,6 +24,8 @@ AT_ONCE = 1 << 21
 """Pairs of a point and a triangle or point that are held against each other at once: bounds memory."""
 ON_SURFACE = 1e-6
 """Below this distance [m] the direction to the nearest point is rounding noise; the pseudonormal is answered."""
+ON_SIDE = 1e-6
+"""Below this weight of the corner across from it a point lies on a side: what is left is rounding noise."""
 
 
 class GroupedSurface:
@@ -83,7 +85,7 @@ class GroupedSurface:
             one, other = q - p, r - p
             angle = torch.atan2(torch.linalg.cross(one, other).norm(dim=-1), (one * other).sum(-1))
             around.index_add_(1, self.faces[:, i], normals * angle[..., None])
-        none = weights == 0
+        none = weights < ON_SIDE
         corner = self.faces[face].gather(-1, weights.argmax(-1, keepdim=True))[..., 0]
         across = self.neighbours[face].gather(-1, weights.argmin(-1, keepdim=True))[..., 0]
         own = normals[frame, face]

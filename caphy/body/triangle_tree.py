@@ -12,6 +12,8 @@ from numba import njit
 
 ON_SURFACE = 1e-10
 """Below this distance [m] the direction to the nearest point is rounding noise; the pseudonormal is answered."""
+ON_SIDE = 1e-9
+"""Below this weight of the corner across from it a point lies on a side: what is left is rounding noise."""
 
 _STACK = 64
 
@@ -155,7 +157,7 @@ def _add_face_normal(vertices, faces, f, corner, normal):
 def _pseudonormal(vertices, faces, neighbours, starts, incident, f, weights, normal):
     """Fill ``normal`` (not of unit length) of the face, edge or vertex of face f that ``weights`` (3,) lie on."""
     normal[:] = 0
-    zeros = (weights[0] == 0) + (weights[1] == 0) + (weights[2] == 0)
+    zeros = (weights[0] < ON_SIDE) + (weights[1] < ON_SIDE) + (weights[2] < ON_SIDE)
     if zeros == 2:
         vertex = faces[f, np.argmax(weights)]
         for place in range(starts[vertex], starts[vertex + 1]):

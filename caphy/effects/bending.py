@@ -16,9 +16,10 @@ class Bending(Hinge):
     """Hinge bending, E = k l^2 / (8 A) (theta - theta_rest)^2 [J] per interior edge.
 
     l is the edge's rest length, A the rest area of its two faces, theta the signed dihedral angle, so that folds
-    sewn or pressed into the template stay. On a cylinder of curvature kappa this is k kappa^2 / 8 per area: k is
-    four times the flexural rigidity of plate theory. k follows the threads that bend: an edge at angle phi from the
-    weft has k = weft sin(phi)^2 + warp cos(phi)^2, since the cloth bends across the edge. Default: SNUG's cotton.
+    sewn or pressed into the template stay. On a cylinder of curvature kappa this is k kappa^2 / 8 per area, if
+    triangles are equilateral or it bends along the threads of a grid: k is four times the flexural rigidity of plates.
+    k follows the threads that bend: an edge at angle phi from the weft has k = weft sin(phi)^2 + warp cos(phi)^2, since
+    the cloth bends across the edge. Default: SNUG's cotton.
     """
 
     name = "bending"

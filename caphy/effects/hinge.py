@@ -40,12 +40,12 @@ def dihedral(x: Tensor) -> Tensor:
 
 
 def turn(angle: Tensor, rest: Tensor) -> Tensor:
-    """By how much hinges are turned from their rest angles (..., n) [rad], in [-pi, pi].
+    """By how much hinges are turned from their rest angles (..., n) [rad], in [-pi, pi).
 
     A hinge folded flat may pass through itself, from pi to -pi; wrapping keeps the energy free of a jump there.
     """
     turned = angle - rest
-    return turned - 2 * torch.pi * torch.round(turned / (2 * torch.pi))
+    return turned - 2 * torch.pi * torch.floor(turned / (2 * torch.pi) + 0.5)
 
 
 def dihedral_gradient(x: Tensor, length: Tensor, area: Tensor) -> tuple[Tensor, Tensor]:

@@ -298,10 +298,10 @@ class Potential:
         if own is None or not own.linear or x.device.type != "cpu" or self.loop(term, x, step, body) is None:
             return None
         value, x = term.values[key], x.contiguous()
-        found = []
-        for more in torch.eye(value.numel(), dtype=value.dtype).reshape(-1, *value.shape):
+        found, none = [], torch.zeros_like(value)
+        for one in torch.eye(value.numel(), dtype=value.dtype).reshape(-1, *value.shape):
             gradients = [torch.zeros_like(x), torch.zeros_like(x)]
-            for gradient, there in zip(gradients, (value, value + more), strict=True):
+            for gradient, there in zip(gradients, (none, one), strict=True):  # to a large value one more adds nothing
                 energy, other = x.new_zeros(x.shape[:-2]), replace(term, values={**term.values, key: there})
                 self._add(other, x, step, body, energy, gradient)
             found.append(gradients[1] - gradients[0])

@@ -39,14 +39,17 @@ SUBSTEPS = 2
 TOLERANCE = 5e-5
 """Of the solver [N]."""
 
+AIR = ("drag", "wind", "external")
+"""Groups of the effects whose forces are smooth over the cloth, so that noise in velocities hardly changes them."""
+
 _LEAST_SEEN = 0.5  # share of the vertices that must be known for a window to start at a frame
 
 
 class HeldToData(Effect):
     """Springs to measured positions and the inertial force of a measured acceleration.
 
-    E = lambda/2 |x - P|^2 + (M a).x [J] per vertex, M a as of :func:`inertial_force`; vertices that were not seen have
-    lambda = 0. Not registered: it is no physics, it starts windows.
+    E = lambda/2 |x - P|^2 + (M a - f).x [J] per vertex, M a as of :func:`inertial_force` and f of :func:`air_force`;
+    vertices that were not seen have lambda = 0. Not registered: it is no physics, it starts windows.
     """
 
     name = "held_to_data"
@@ -89,6 +92,20 @@ def inertial_force(potential: Potential, acceleration: np.ndarray) -> np.ndarray
     return force
 
 
+def air_force(potential: Potential, x: np.ndarray, velocity: np.ndarray, time: float) -> np.ndarray:
+    """Force (V, 3) [N] of drag, wind and pressure on cloth at x (V, 3) [m] that moves with velocities (V, 3) [m/s].
+
+    Statics knows none of them, and without them cloth that rests in a wind would start half a millimetre off.
+    """
+    now, moved = torch.from_numpy(x), torch.from_numpy(velocity)
+    step = Step(1.0, now - moved, now, now, moved, time)
+    force = np.zeros_like(x)
+    for name, term in potential.terms.items():
+        if term.effect.group in AIR and term.effect.needs_step and not term.effect.needs_body:
+            force -= potential.term_gradient(name, now, step, None).numpy()
+    return force
+
+
 def _held(potential: Potential) -> Potential:
     """A copy of a potential with :class:`HeldToData` added, to be filled in per frame."""
     held = Potential(potential.model, potential.cloth)
@@ -110,7 +127,7 @@ class StartStates:
         self.scene, self.hold = scene, hold
         self.cloth = potential.cloth
         self._held = _held(potential)
-        self._newton = Newton(self._held, scene.fixed, TOLERANCE)
+        self._newton = Newton(self._held, scene.fixed, TOLERANCE).resolving()
         self._mass = inertial_force(potential, np.ones_like(self.cloth.vertices)).mean(axis=1).clip(min=0)
         self._solved: dict[int, np.ndarray] = {}
 
@@ -138,10 +155,11 @@ class StartStates:
         return local_quadratic(measurement.vertices, measurement.observed, measurement.fps, frame)
 
     def _balance(self, frame: int) -> np.ndarray:
-        """argmin of elasticity + weight + contact + (M a).x + lambda/2 |x - P|^2 at a frame."""
+        """argmin of elasticity + weight + contact + (M a - air).x + lambda/2 |x - P|^2 at a frame."""
         fit, time, cloth = self._fit(frame), frame / self.scene.measurement.fps, self.cloth
         place = filled(fit.position, fit.known, cloth)
         push = inertial_force(self._held, filled(fit.acceleration, fit.known, cloth))
+        push = push - air_force(self._held, place, filled(fit.velocity, fit.known, cloth), time)
         rest = self._held.terms[HeldToData.name].rest
         rest["hold"] = torch.from_numpy(self.hold * self._mass * fit.known)
         rest["place"], rest["push"] = (torch.from_numpy(np.ascontiguousarray(a.T)) for a in (place, push))

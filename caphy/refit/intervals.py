@@ -35,23 +35,24 @@ def deviations(known: Evidence, seed: int = 0) -> np.ndarray:
     return np.array(found).reshape(REPLICAS, -1)
 
 
-def _free(known: Evidence) -> np.ndarray:
-    """Degrees of freedom (K,) of each number's spread: windows left over, of those that decide where these are few."""
+def _windows(known: Evidence) -> np.ndarray:
+    """How many windows (K,) there are to tell each number, of those that decide where these are few."""
     inner = inverse(known.normal[0])
     shares = known.weight[:, None] * np.einsum("kl,wlm,mk->wk", inner, known.a, inner)
     count = [deciding(share) if few(share) else int((known.weight > 0.05).sum()) for share in shares.T]
-    return np.maximum(np.array(count) - known.b.shape[1], 2)
+    return np.maximum(np.array(count), known.b.shape[1] + 2)
 
 
 def half_widths(known: Evidence, *doubts: np.ndarray | float, seed: int = 0) -> list[np.ndarray]:
     """Half widths (K,) of the :data:`LEVEL` intervals, for each of some ``doubts``.
 
     The spread of the bootstrap, widened by Student's t with as many degrees of freedom as there are windows left over:
-    a dozen windows know their own spread only roughly, two hardly at all. Beside it a doubt (K,), a standard error that
-    all windows share and no resampling of them can show.
+    a dozen windows know their own spread only roughly, two hardly at all. Of n windows that bootstrap spreads a mean by
+    (n - 1) / (n + 1) of its variance. Beside it a doubt (K,), a standard error that all windows share and no resampling
+    of them can show.
     """
-    spread, free = deviations(known, seed).std(axis=0), _free(known)
-    windows = student.ppf(0.5 + LEVEL / 2, free) * spread * np.sqrt(1 + 1 / free)
+    spread, count = deviations(known, seed).std(axis=0), _windows(known)
+    windows = student.ppf(0.5 + LEVEL / 2, count - known.b.shape[1]) * spread * np.sqrt((count + 1) / (count - 1))
     return [np.hypot(windows, norm.ppf(0.5 + LEVEL / 2) * doubt) for doubt in doubts]
 
 

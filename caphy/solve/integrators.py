@@ -35,7 +35,7 @@ class Integrator(Protocol):
 
 
 class ImplicitEuler:
-    """Implicit Euler, what the network's loss minimises: first order, damps all motion at a rate of dt."""
+    """Implicit Euler, what the network's loss minimises: first order, damps what swings at omega by omega^2 dt / 2."""
 
     order = 1
 
@@ -48,6 +48,8 @@ class ImplicitEuler:
 
 class SDIRK2:
     """Two-stage singly diagonally implicit Runge-Kutta method, second order, L-stable (Alexander, SINUM 14, 1977).
+
+    First order where forces follow the shape of the state before (the normals of pressure, the places of a wind field).
 
     With gamma = 1 - 1/sqrt(2) the tableau is (gamma, 0 | 1 - gamma, gamma), whose last row is also the weights. For
     x' = v, v' = a(x, v) a stage of origin o = x + dt sum a_ij v_j and velocity b = v + dt sum a_ij a_j is

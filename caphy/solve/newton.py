@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from caphy.conventions import GRAVITY
 from caphy.effects.base import BodyState, Step
 from caphy.effects.body_contact import BodyContact, braked
 from caphy.effects.potential import Potential
@@ -23,6 +24,7 @@ TOLERANCE = 5e-5
 SAFE_TRAVEL = 0.01
 """A vertex may travel its distance to the body plus this in one iteration [m]: thinner than any limb."""
 
+_OF_WEIGHT = 0.1  # of a vertex: the most that a tolerance may be where forces are to balance
 _SUFFICIENT = 1e-4  # Armijo's fraction of the predicted decrease
 _HALVINGS = 10
 _LONGEST = 16
@@ -155,6 +157,14 @@ class Newton:
         other = copy(self)
         other.tolerance = tolerance
         return other
+
+    def resolving(self) -> Newton:
+        """The same solver with a tolerance of at most a tenth of what a vertex weighs in the median.
+
+        With more, fine cloth that hangs nowhere yet would count as at rest: no vertex weighs as much as the tolerance.
+        """
+        weight = float(np.median(self._mass)) * float(np.linalg.norm(GRAVITY))
+        return self.within(min(self.tolerance, _OF_WEIGHT * weight))
 
     def minimise(
         self,

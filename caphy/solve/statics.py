@@ -17,9 +17,10 @@ def drape(newton: Newton, guess: Tensor, body: Body | None = None) -> tuple[Tens
     """Positions of rest (V, 3) [m] near a guess, and whether they were reached.
 
     Newton's method damped by mass as if time passed (Levenberg and Marquardt), so that folds fall one way instead of
-    balancing, and cloth that nothing holds sinks slowly enough to meet the body.
+    balancing, and cloth that nothing holds sinks slowly enough to meet the body. What acts in steps alone (wind, drag,
+    pressure, friction, damping) is left out.
     """
-    return newton.minimise(guess, None, body, damping=1 / _FIRST_STEP**2)
+    return newton.resolving().minimise(guess, None, body, damping=1 / _FIRST_STEP**2)
 
 
 def drape_on_body(newton: Newton, motion: BodyMotion, time: float = 0.0) -> tuple[Tensor, Report]:

@@ -43,9 +43,9 @@ class Objective:
     """The potential Phi(x_t; x_{t-1}, x_{t-2}, body_t) of predicted frames, minimised over x_t alone.
 
     The history is the network's own, detached, so that the minimiser is implicit Euler's trajectory (SNUG minimises
-    over the history too, whose minimiser is not a trajectory). Where a stream starts, or a pose is held, inertia and
-    everything else that needs motion rest: the frame is a static equilibrium. The frame after a start takes the
-    start's offsets, carried along with the body, for its past.
+    over the history too, whose minimiser is not a trajectory). Where a stream starts, or a pose is held, nothing has
+    moved: the frame is an equilibrium, of pressure and wind too, which :func:`caphy.solve.statics.drape` leaves out.
+    The frame after a start takes the start's offsets, carried along with the body, for its past.
     """
 
     def __init__(

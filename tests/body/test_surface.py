@@ -62,6 +62,16 @@ def test_body_against_exhaustive_search(spread, nearest):
     assert found.barycentric.min() >= 0
 
 
+def test_on_edges_and_corners_groups_have_the_tree_s_normals():
+    """Of places on the surface, whose weights are some rounding off zero."""
+    mesh = trimesh.creation.icosphere(3)
+    vertices = mesh.vertices * (1 + 0.3 * np.sin(4 * mesh.vertices[:, [0]])) + [5, 0, -3]
+    middles = vertices[mesh.edges_unique].mean(axis=1)
+    points = np.concatenate([vertices, middles])
+    found, wanted = nearest_in_groups(points, vertices, mesh.faces), nearest_on_surface(points, vertices, mesh.faces)
+    np.testing.assert_allclose(found.normal, wanted.normal, atol=1e-9)
+
+
 @both_ways
 def test_sign_of_the_resting_body_is_its_winding_number(nearest):
     body = default_body()

@@ -40,6 +40,22 @@ def test_one_fold_has_its_closed_form() -> None:
     assert energy("bending", cloth, folded) == pytest.approx(K * 0.02**2 / (8 * area) * (np.pi / 2) ** 2, rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["bending", "bending_measured"])
+def test_faces_folded_onto_each_other_unfold_one_way(name: str) -> None:
+    """At exactly half a turn either way is right, but kernels and torch's formula must take the same."""
+    vertices = np.array([[0, 0, 0], [0, 0.02, 0], [-0.01, 0.01, 0], [0.01, 0.01, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [1, 0, 3]])
+    cloth = Cloth(vertices, faces, vertices[faces][..., :2], 0.2, np.zeros(4), np.zeros(4))
+    folded = torch.from_numpy(vertices * [-1, 1, 1])
+    folded[2] = folded[3]
+    potential = Potential(Model(0.2, {name: {}}), cloth)
+    compiled = potential.gradient(folded)[1]
+    x = folded.clone().requires_grad_(True)
+    (plain,) = torch.autograd.grad(sum(potential.energies(x).values()), x)
+    assert plain.abs().max() > 1e-4
+    torch.testing.assert_close(compiled, plain)
+
+
 def test_a_ridge_seen_from_outside_is_positive() -> None:
     x = np.array([[0, 0, 0], [0, 0.02, 0], [-0.01, 0.01, -0.004], [0.01, 0.01, -0.004]])
     outward = np.cross(x[1] - x[0], x[2] - x[0])

@@ -85,6 +85,18 @@ def test_what_is_switched_off_says_nothing_of_what_it_borrows(model: Model, monk
         torch.testing.assert_close(quick[key], value, rtol=1e-12, atol=0)
 
 
+def test_slopes_of_large_stiffnesses_are_there_in_single_precision() -> None:
+    """To a stiffness of 10^8 one more adds nothing there."""
+    model, at = Model(0.2, {"body_contact": {"stiffness": 1e8}}), AT
+    single = at.to(torch.float32)
+    name = "body_contact.stiffness"
+    (wanted,) = Potential(model, CLOTH).parameter_gradients(at.x, at.step, at.body, {name}).values()
+    potential = Potential(model, CLOTH, torch.float32)
+    (slope,) = potential.parameter_gradients(single.x, single.step, single.body, {name}).values()
+    assert wanted.abs().max() > 0
+    torch.testing.assert_close(slope.double(), wanted, rtol=1e-2, atol=1e-2 * float(wanted.abs().max()))
+
+
 def test_slopes_of_a_batch_are_those_of_its_frames() -> None:
     potential = Potential(with_candidates(snug_model(), ["wind_field", "natural_curvature"]), CLOTH)
     at = moment(CLOTH, (3,))

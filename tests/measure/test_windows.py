@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from explicit_cloth import measured, normals, simulate
 
 from caphy.commands import compare as command
@@ -21,6 +22,9 @@ from caphy.measure.finer import FinerMesh
 from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
 from caphy.measure.windows import StartStates, filled, inertial_force, window_starts
+from caphy.solve.integrators import ImplicitEuler, State
+from caphy.solve.newton import Newton
+from caphy.solve.rollout import Simulator
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 
@@ -153,6 +157,31 @@ def test_starts_feel_the_inertia_of_all_mass(plain, mass, pull):
     dense = Model(0.4, MODEL.effects).with_effect("gravity", acceleration=np.array([0, -9.81 * pull, 0]))
     one, other = (StartStates(scene, scene.potential(model)).positions(25) for model in (light, dense))
     np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "air",
+    [{"wind_normal": {"coefficient": 1.2, "push": (0.0, 0.0, 2.4)}}, {"pressure": {"pressure": 1.0}}],
+    ids=["wind", "pressure"],
+)
+def test_cloth_at_rest_in_the_air_starts_where_it_rests(plain, air):
+    """Set to rest by steps so long that inertia is none of it."""
+    model = Model(0.2, {**MODEL.effects, "bending": {}, **air})
+    scene = Scene.of(plain)
+    potential = scene.potential(model)
+    assert scene.pins is not None and scene.fixed is not None
+    x = torch.from_numpy(plain.vertices[0].copy())
+    x[torch.from_numpy(np.flatnonzero(scene.fixed))] = scene.pins(0.0)
+    state = State(0.0, x, torch.zeros_like(x))
+    held = Simulator(Newton(potential, scene.fixed, 1e-8, 300), integrator=ImplicitEuler())
+    for _ in range(300):
+        state, _ = held.advance(state, 0.1)
+    assert state.v.abs().max() < 1e-3
+    still = replace(plain, vertices=np.repeat(state.x.numpy()[None], len(plain), axis=0))
+    still = replace(still, pinned_positions=np.repeat(plain.pinned_positions[:1], len(plain), axis=0))
+    starts = StartStates(Scene.of(still), potential)
+    apart = np.linalg.norm(starts.positions(4) - state.x.numpy(), axis=1)
+    assert np.median(apart) < 5e-5
 
 
 def test_inertial_forces_are_mass_times_acceleration(plain):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column
@@ -38,6 +39,18 @@ def test_intervals_cover_as_often_as_they_say(spread):
         best = np.linalg.solve(known.a.sum(0), known.b.sum(0))
         covered.append(np.abs(best - truth) < half_widths(known, 0.0)[0])
     assert 0.91 < np.mean(covered) < 0.99
+
+
+@pytest.mark.parametrize("count", [4, 15])
+def test_windows_alike_are_sure_of_their_mean_as_student_is(count):
+    """A number of which each window tells one noisy value: the exact interval of a normal mean (Student 1908)."""
+    random, ratios = np.random.default_rng(3), []
+    for seed in range(40):
+        told = random.normal(size=count)
+        known = Evidence(np.ones((count, 1, 1)), told[:, None], told**2, np.ones(count), np.full(count, 40))
+        exact = student.ppf(0.975, count - 1) * told.std(ddof=1) / np.sqrt(count)
+        ratios.append(half_widths(known, 0.0, seed=seed)[0][0] / exact)
+    assert 0.98 < np.mean(ratios) < 1.02
 
 
 def test_where_few_windows_decide_the_others_do_not_tell_how_far_off_they_are():
