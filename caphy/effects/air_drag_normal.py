@@ -16,4 +16,4 @@ class AirDragNormal(Air):
     name = "air_drag_normal"
     group = "drag"
     parameters = {"coefficient": Parameter(1.2, "N s/m^3", 0.0, 1e3, doc="pressure per speed")}
-    reference = "Baraff, Witkin, Large steps in cloth simulation, SIGGRAPH 1998, section 4.5 (drag)"
+    reference = "Baraff, Witkin, Large steps in cloth simulation, SIGGRAPH 1998, section 4.4 (wind drag)"

@@ -31,7 +31,7 @@ class WindNormal(Air):
             doc="pressure on resting cloth; wind velocity times coefficient",
         ),
     }
-    reference = "Baraff, Witkin, Large steps in cloth simulation, SIGGRAPH 1998, section 4.5 (drag in a wind field)"
+    reference = "Baraff, Witkin, Large steps in cloth simulation, SIGGRAPH 1998, section 4.4 (wind drag)"
 
     def push(self, e: Elements, p: Values) -> Tensor:
         return uniform(p["push"], e.x[0])
