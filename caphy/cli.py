@@ -116,12 +116,22 @@ def _run(name: str, rest: list[str]) -> int:
     except BrokenPipeError:  # whoever reads our output has seen enough, as in caphy effects list | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains at exit
         return 128 + signal.SIGPIPE
-    except KeyboardInterrupt as stopped:
+    except (KeyboardInterrupt, SystemError) as error:
+        if (stopped := _interrupt(error)) is None:
+            raise
         return stopped.args[0] if stopped.args else INTERRUPTED
     except OSError as error:  # a place that cannot be read or written, a full disk
         if error.strerror is None:
             raise
-        return _refused(name, f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
+        place = error.filename2 or error.filename  # of a copy where it goes
+        return _refused(name, f"{place}: {error.strerror}" if place else f"{error.strerror}, where a file is written")
+
+
+def _interrupt(error: BaseException | None) -> KeyboardInterrupt | None:
+    """What an error comes from, if it is a signal: compiled code that one comes upon tells of it by a SystemError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
 
 
 def _refused(name: str, why: str) -> int:

@@ -25,7 +25,7 @@ from caphy.capture.subject import Fabric, Lower, Subject, Upper, make_subject
 from caphy.errors import CaphyError
 from caphy.garment.families import FAMILIES
 from caphy.garment.template import Garment, read_npz, write_npz
-from caphy.io.places import write_text
+from caphy.io.places import write_bytes, write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.poses.canonical import write_poses
 
@@ -119,9 +119,7 @@ def write_ply(path: Path, scan: Fused) -> None:
     import trimesh
 
     mesh: Any = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=scan.colours, process=False)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(mesh.export(file_type="ply"))
-    partial.replace(path)
+    write_bytes(path, mesh.export(file_type="ply"))
 
 
 def _small(values: np.ndarray) -> np.ndarray:

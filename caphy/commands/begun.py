@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.evaluate.learnt_from import CONTENTS, INIT_SCANS, OPTIONS, RECORD, SCANS_DIGEST, learnt_from
 from caphy.io.places import write_text
@@ -30,6 +31,26 @@ def option(kind: Any, value: Any, folder: Path) -> Any:
     if isinstance(value, list):
         return tuple(option(kind, one, folder) for one in value)
     return Path(os.path.normpath(folder / value)) if isinstance(value, str) and "Path" in str(kind) else value
+
+
+def own_body(run: Path) -> Path | None:
+    """The body that a training in a folder was on, if it was one of its own.
+
+    Raises:
+        CaphyError: there is no training in it.
+    """
+    try:
+        given = json.loads((run / OPTIONS).read_text()).get("body")
+    except (OSError, ValueError) as error:
+        raise CaphyError(f"{run}: is not a folder that 'caphy train' wrote: {error}") from error
+    return None if given is None else option(Path, given, run.resolve())
+
+
+def exporting(name: str, *runs: Path) -> str:
+    """What makes an avatar of a name of trainings; the licence of a body of one's own only its owner can tell."""
+    body = own_body(runs[0])
+    own = () if body is None else ("--body", body, "--licence", "the licence of this body")
+    return following("export", *runs, *own, "-o", f"avatars/{name}")
 
 
 def told(options: Train) -> dict[str, Any]:
@@ -132,6 +153,8 @@ def write_record(
     trained: Sequence[PoseSequence], held_out: Sequence[PoseSequence],
 ) -> None:  # fmt: skip
     """Put beside the network what the export needs, and what a reader wants to know of its making."""
+    from caphy.io.poses.parts import placed
+
     garment.save(options.output / GARMENT)
     write_text(options.output / MODEL, model.to_json() + "\n")
     read = contents(options, trained)
@@ -153,6 +176,6 @@ def write_record(
         INIT_SCANS: None if options.init is None else sorted(set(learnt_from(options.init))),
         "lambda_3d": options.lambda_3d,
         "physics": options.physics,
-        "held_out_paths": [clip.source for clip in held_out],
+        "held_out_paths": [placed(clip.source) for clip in held_out],
     }
     write_text(options.output / RECORD, json.dumps(record, indent=2) + "\n")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied
+from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied, exporting
 from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
@@ -52,7 +52,8 @@ def main(arguments: list[str]) -> int | None:
     except KeyboardInterrupt:
         print("interrupted; go on with --resume")
         return 130
-    print(f"wrote {', '.join(str(options.output / name) for name in collider.names)}")
+    made = [options.output / name for name in collider.names]
+    print(f"wrote {', '.join(map(str, made))}\nnext: {exporting(options.output.name, *made)}")
     return 0
 
 

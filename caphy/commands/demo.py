@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 from caphy.errors import CaphyError
-from caphy.io.places import writable_folder
+from caphy.io.places import writable_folder, write_bytes
 
 if TYPE_CHECKING:
     from caphy.io.poses import PoseSequence
@@ -100,9 +100,7 @@ def _write(out: Path, bundle, motion: PoseSequence, vertices: dict[str, np.ndarr
     from export.sheet import motion_sheet
 
     made = animated_glb(bundle, motion.poses, motion.transl, vertices)
-    partial = out / "avatar.glb.partial"
-    partial.write_bytes(made.content)
-    partial.replace(out / "avatar.glb")
+    write_bytes(out / "avatar.glb", made.content)
     print(
         f"\n{out / 'avatar.glb'}: animated, for any glTF viewer; {len(made.content) / 1e6:.1f} MB, vertices within "
         f"{1e3 * max(made.errors.values()):.2f} mm of the service's"

@@ -208,6 +208,7 @@ def _motions(sources: tuple[str, ...]) -> tuple[list[PoseSequence], list[PoseSeq
     from caphy.io.procedural import procedural_motion
 
     if not sources:
+        print("note: no motions held out of training are there; the head is fitted to motions made from seeds")
         made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
         return made[:4], made[4:]
     motions = [read_part(source) for source in sources]

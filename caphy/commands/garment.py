@@ -78,8 +78,9 @@ def _maker(kind: type) -> Callable[..., None]:
     def run(options: Any, output: Path, body: Path | None = None, betas: Betas = ()) -> None:
         from caphy.garment.families import make
 
+        writable_file(output, ".npz", [] if body is None else [body])
         garment = make(options, _body(body), np.array(betas) if betas else None)
-        garment.save(writable_file(output))
+        garment.save(output)
         print(f"{output}: {len(garment.vertices)} vertices, {len(garment.faces)} faces")
 
     run.__doc__ = kind.__doc__
@@ -153,6 +154,7 @@ def from_mesh(
     from caphy.garment.from_mesh import garment_from_mesh
     from caphy.io.bundle import require_garment_name
 
+    writable_file(output, ".npz", [file] if body is None else [file, body])
     name = name or file.stem
     require_garment_name(name, str(file), "give one with --name")
     mesh, marks = _read(file, options, body, betas)
@@ -165,7 +167,7 @@ def from_mesh(
         layer_thickness=layer_thickness,
         provenance={"file": file.name, **{key: str(value) for key, value in asdict(options).items()}},
     )
-    garment.save(writable_file(output))
+    garment.save(output)
     print(f"{output}: {garment.name}")
     _describe(mesh, marks, garment)
 
@@ -185,6 +187,7 @@ def render(garments: Positional[tuple[Path, ...]], output: Output, body: Path | 
 
     if not garments:
         raise CaphyError("render needs at least one garment npz")
+    writable_file(output, ".png")
     wearer = default_body("fine") if body is None else BodyModel.load(body)
     shapes = [Shape(wearer.rest(np.array(betas) if betas else None)[0], wearer.faces)]
     for i, path in enumerate(garments):
@@ -192,7 +195,7 @@ def render(garments: Positional[tuple[Path, ...]], output: Output, body: Path | 
         shapes.append(Shape(garment.vertices, garment.faces, CLOTH[i % len(CLOTH)]))
     points = np.concatenate([shape.vertices for shape in shapes[1:]])
     views = [draw(shapes, Camera.framing(points, azimuth=a, elevation=8.0)) for a in (0.0, 45.0, 90.0, 180.0)]
-    print(write_png(contact_sheet(views, 4), writable_file(output)))
+    print(write_png(contact_sheet(views, 4), output))
 
 
 def _read(file: Path, options: MeshOptions, body: Path | None, betas: Betas) -> tuple[UserMesh, Landmarks]:
@@ -200,6 +203,10 @@ def _read(file: Path, options: MeshOptions, body: Path | None, betas: Betas) -> 
     from caphy.garment.landmarks import Landmarks
     from caphy.garment.usermesh import clean_mesh, read_mesh
 
+    if not 0 < options.panel_scale < np.inf:
+        raise CaphyError(f"--panel-scale must be positive and finite, got {options.panel_scale:g}")
+    if not np.isfinite(options.offset).all():
+        raise CaphyError(f"--offset must be three finite numbers, got {options.offset}")
     mesh = clean_mesh(
         read_mesh(file),
         scale=options.scale,

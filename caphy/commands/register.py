@@ -166,10 +166,12 @@ def _taken(scans: ScanSet, body: BodyModel, unread: dict[str, str]) -> Iterator[
     """What can be fitted; what cannot be used goes into ``unread`` and the rest goes on."""
     from caphy.register.cloud import Cloud
     from caphy.register.fit import Taken
+    from caphy.scan.checks import require_size
 
     for i, name in enumerate(scans.names):
         try:
             scan = scans[i]
+            require_size(scan)
             yield Taken(Cloud.of(scan).thinned(KEPT_POINTS), _start(scan, scans, body))
         except CaphyError as error:
             unread[name] = str(error)

@@ -7,6 +7,7 @@ from pathlib import Path
 import tyro
 
 from caphy.errors import CaphyError
+from caphy.io.places import writable_file
 
 Positional = tyro.conf.Positional
 
@@ -47,6 +48,7 @@ def render(folder: Positional[Path], output: Path, count: int = 4) -> None:
 
     if count < 1:
         raise CaphyError(f"--count must be at least 1, got {count}")
+    writable_file(output, ".png")
     scans = ScanSet.read(folder)
     shown = [scans[i] for i in range(min(count, len(scans)))]
     images = [image for scan in shown for image in scan_pictures(scan)]

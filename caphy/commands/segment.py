@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
+from caphy.commands.following import following
 from caphy.commands.made_labels import MadeLabels
 from caphy.errors import CaphyError
 
@@ -43,7 +44,11 @@ class Segment:
 
 def main(arguments: list[str]) -> int:
     """Run ``caphy segment`` with the arguments after it."""
-    return 1 if label(tyro.cli(Segment, args=arguments, prog="caphy segment")) else 0
+    command = tyro.cli(Segment, args=arguments, prog="caphy segment")
+    failed = label(command)
+    elsewhere = () if command.out is None else ("--labels", command.out)
+    print(f"next: {following('register', 'body', command.scans, *elsewhere, '-o', 'run')}")
+    return 1 if failed else 0
 
 
 def label(command: Segment) -> dict[str, str]:
@@ -62,8 +67,6 @@ def label(command: Segment) -> dict[str, str]:
     failed = _segment_all(scans, MadeLabels(out, command.parser, command.layout), method, command.parser == "labels")
     done = len(scans) - len(failed)
     print(f"{out}: labels of {done} of {len(scans)} scans")
-    if not by_itself:
-        print(f"next: give --labels {out} to what reads them")
     if command.render is not None and done:
         print(_sheet(command.render, ScanSet.read(command.scans, out), set(failed)))
     if not done:
@@ -90,6 +93,9 @@ def _segment_all(
     of_labels: whether the method works on the scans' own labels. If not they are not read, for they may be those of
     another mesh that a scan was before.
     """
+    from caphy.scan.checks import require_size
+    from caphy.scan.scan import LOWER, UPPER
+
     scans = scans if of_labels else replace(scans, labels=None)
     failed: dict[str, str] = {}
     foreign: list[str] = []
@@ -102,7 +108,11 @@ def _segment_all(
             scan = scans[index]
             if made.up_to_date(scan):
                 continue
-            made.write(scan, method(scan))
+            require_size(scan)
+            labels = method(scan)
+            made.write(scan, labels)
+            if not np.isin(labels, (UPPER, LOWER)).any():
+                print(f"note: {name}: no clothes were found in it", flush=True)
         except CaphyError as error:
             made.remove(name)  # of another parser or another scan: nobody may use them beside the others
             print(f"left out {name}: {error}", flush=True)

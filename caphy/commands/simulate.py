@@ -57,9 +57,11 @@ def main(arguments: list[str]) -> None:
         raise CaphyError(f"--substeps must be at least 1, got {command.substeps}")
     if command.seconds is not None and not 0 < command.seconds < float("inf"):
         raise CaphyError(f"--seconds must be positive and finite, got {command.seconds:g}")
-    for path in (command.out, command.render):
+    read = [command.garment, command.poses, command.body, *command.effect_file]
+    read += [] if command.model is None else [command.model]
+    for path, suffix in ((command.out, ".npz"), (command.render, ".png")):
         if path is not None:
-            writable_file(path).parent.mkdir(parents=True, exist_ok=True)
+            writable_file(path, suffix, read).parent.mkdir(parents=True, exist_ok=True)
     if command.fabric is not None and command.model is not None:
         raise CaphyError("--fabric and --model exclude each other; give one of them")
     with unfinished(command.out.with_suffix(f".{UNFINISHED}")) as kept:
@@ -104,7 +106,7 @@ def _simulate(command: Simulate, folder: Path) -> None:
     if command.render is not None:
         print(_sheet(command.render, trajectory, motion))
     else:
-        print("next: the same command with --render sheet.png pictures it")
+        print("pictures come with --render sheet.png")
 
 
 def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> State:

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from caphy.commands.begun import OPTIONS, option, require_same, write_record
+from caphy.commands.begun import OPTIONS, exporting, option, require_same, write_record
 from caphy.commands.bundled import bundled
-from caphy.commands.following import following
 from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
@@ -128,7 +127,7 @@ def _run(options: Train) -> int:
         return 130
     if trainer.rank == 0:
         print(f"wrote {options.output}: network, checkpoint, metrics.jsonl")
-        print(f"next: {following('export', options.output, '-o', f'avatars/{options.output.name}')}")
+        print(f"next: {exporting(options.output.name, options.output)}")
     return 0
 
 
@@ -146,8 +145,8 @@ def _check(options: Train) -> None:
         raise CaphyError("--worn, --outermost and --lambda-3d go with --scans")
     for name in ("minutes", "steps", "lambda_3d"):
         value = getattr(options, name)
-        if value is not None and not value > 0:
-            raise CaphyError(f"--{name.replace('_', '-')} must be positive, got {value}")
+        if value is not None and not 0 < value < float("inf"):
+            raise CaphyError(f"--{name.replace('_', '-')} must be positive and finite, got {value}")
     if (options.output / "checkpoint.safetensors").exists() and not options.resume:
         raise CaphyError(f"{options.output} holds a training already: add --resume, or give another folder with -o")
 

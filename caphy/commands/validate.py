@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from caphy.commands.begun import OPTIONS, option
-from caphy.commands.following import following
+from caphy.commands.begun import exporting, own_body
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
 
@@ -45,6 +44,8 @@ def main(arguments: list[str]) -> None:
     settings = _read(options.run / "run.json")
     if not 0.1 < options.seconds < float("inf"):
         raise CaphyError(f"--seconds must be more than 0.1 and finite, got {options.seconds}")
+    if options.frames < 1:
+        raise CaphyError(f"--frames must be at least 1, got {options.frames}")
 
     import numpy as np
     import torch
@@ -66,7 +67,7 @@ def main(arguments: list[str]) -> None:
     network = load_network(options.run / NETWORK)
     clips = _clips(options, settings, network.fps)
     garment, model = Garment.load(options.run / "garment.npz"), Model.load(options.run / "model.json")
-    body = default_body() if (own := _body(options.run)) is None else BodyModel.load(own)
+    body = default_body() if (own := own_body(options.run)) is None else BodyModel.load(own)
     betas = np.array(settings["betas"]) if settings.get("betas") else None
     potential = Potential(model, Cloth.of(garment, model.density))
 
@@ -87,8 +88,7 @@ def main(arguments: list[str]) -> None:
     report["network_sha256"] = hashlib.sha256((options.run / NETWORK).read_bytes()).hexdigest()
     print(f"all: {_line(report)}; drift over {options.frames} frames {report['drift_mm']:.2g} mm")
     write_text(options.run / REPORT, json.dumps(report, indent=2) + "\n")
-    export = following("export", options.run, "-o", f"avatars/{options.run.name}")
-    print(f"wrote {options.run / REPORT}\nnext: {export}")
+    print(f"wrote {options.run / REPORT}\nnext: {exporting(options.run.name, options.run)}")
 
 
 def _line(summary: dict) -> str:
@@ -104,12 +104,6 @@ def _read(path: Path) -> dict:
         return json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise CaphyError(f"{path.parent}: is not a folder that 'caphy train' wrote: {error}") from error
-
-
-def _body(run: Path) -> Path | None:
-    """The body that a training was on, if it was one of its own."""
-    given = _read(run / OPTIONS).get("body")
-    return None if given is None else option(Path, given, run.resolve())
 
 
 def _clips(options: Validate, settings: dict, fps: float) -> list[PoseSequence]:

@@ -1,18 +1,31 @@
-"""Whether something can be written where a user wants it, asked before the work; and texts written whole or not at
+"""Whether something can be written where a user wants it, asked before the work; and files written whole or not at
 all."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 from caphy.errors import CaphyError
 
 
-def writable_file(path: Path) -> Path:
-    """``path``, in whose place a file can be written once its folder is made; raises CaphyError where none can."""
+def writable_file(path: Path, suffix: str = "", inputs: Iterable[str | Path] = ()) -> Path:
+    """``path``, in whose place a file can be written once its folder is made.
+
+    Args:
+        suffix: what its name must end in.
+        inputs: files that are read, whose place it must not take; names of what is no file are passed over.
+
+    Raises:
+        CaphyError: none can be written there.
+    """
     path = Path(path)
+    if path.suffix.lower() != (suffix or path.suffix.lower()):
+        raise CaphyError(f"{path}: what is written there is a {suffix} file; give a name that ends so")
+    if path.exists() and any(Path(each).exists() and path.samefile(each) for each in inputs):
+        raise CaphyError(f"{path}: is read, and would be replaced by what is written; give another name")
     if path.is_dir():
         raise CaphyError(f"{path}: is a folder, and a file is to be written there; give the file's name too")
     if path.exists() and not path.is_file():
@@ -42,20 +55,26 @@ def _try(path: Path, folder: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all; its folder is made. Raises :class:`CaphyError` where that fails."""
+    """Write a text file as :func:`write_bytes` does."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all; its folder is made. Raises :class:`CaphyError` where that fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-", suffix=".partial")
         try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
             os.chmod(partial, 0o644)
             os.replace(partial, path)
         except BaseException:
             Path(partial).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise CaphyError(f"{path}: cannot be written ({error.strerror})") from error
+        why = f"cannot be written ({error.strerror}); free space, or choose another place"
+        raise CaphyError(f"{path}: {why}") from error
 
 
 def swap(new: Path, folder: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 from caphy.pipeline.stage import Stage
 
 FOLDER = "stages"
@@ -42,11 +43,7 @@ class Ledger:
 
     def write(self, stage: Stage, entry: Entry) -> None:
         """Remember a stage, whole or not at all."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.record(stage)
-        partial = path.with_name(path.name + ".partial")
-        partial.write_text(json.dumps(asdict(entry), indent=1), encoding="utf-8")
-        partial.replace(path)
+        write_text(self.record(stage), json.dumps(asdict(entry), indent=1))
 
     def record(self, stage: Stage) -> Path:
         """The file of its entry."""

@@ -171,8 +171,8 @@ def _lost(name: str, first: FirstFit) -> str:
             "scans.toml), or leave it out"
         )
     return (
-        f"{name}: no pose explains it ({100 * first.far:.0f} % of it is more than 3 cm off); look at its labels, give "
-        "an initial pose (poses in scans.toml), or leave it out"
+        f"{name}: no pose explains it ({100 * first.far:.0f} % of it is more than 3 cm off); look at its labels and "
+        "at up_axis in scans.toml, give an initial pose (poses there), or leave it out"
     )
 
 

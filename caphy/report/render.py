@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_bytes
 from caphy.report.camera import Camera
 
 BACKGROUND = (0.97, 0.97, 0.98)
@@ -173,8 +174,5 @@ def write_png(image: np.ndarray, path: str | Path) -> Path:
     done, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not done:
         raise CaphyError(f"{path}: this image cannot be written as PNG, shape {image.shape}, {image.dtype}")
-    partial = path.with_name(path.name + ".partial")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial.write_bytes(data.tobytes())
-    partial.replace(path)
+    write_bytes(path, data.tobytes())
     return path

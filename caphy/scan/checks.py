@@ -24,6 +24,11 @@ UNUSED: Final = (0.01, 0.1)
 """Shares of vertices without a triangle from which a scan is remarked on, and refused."""
 LEAST_CLOTH: Final = 0.03
 """Share of the surface that clothes must have."""
+LIES: Final = (0.75, 0.5)
+"""Height over the largest extent, of most scans and of a single one among them, below which they seem to lie."""
+END, ON_ITS_HEAD, FEW = 0.1, 0.7, 3
+"""Share of the height that feet and head are looked for in; footing (2.2 in the median of two people's mocap poses, 1.2
+to 3.9 for most) of so many scans or more below which they seem to stand on their heads."""
 AREA_SPREAD, COLOUR_OVERLAP = 0.25, 0.45
 """Difference in surface area, and overlap of colours with the rest, at which a scan seems to be of somebody else."""
 
@@ -42,6 +47,12 @@ def check_scan(scan: Scan) -> list[Finding]:
     """What is to be said of one scan by itself."""
     checks = (_unit, _flipped, _cut_short, _holes, _pieces, _floor, _labels, _colours)
     return [finding for check in checks if (finding := check(scan)) is not None]
+
+
+def require_size(scan: Scan) -> None:
+    """Raise :class:`CaphyError`, which names the scan, where it is far smaller or larger than a person."""
+    if (finding := _unit(scan)) is not None:
+        raise scan.error(finding.message)
 
 
 def check_set(scans: ScanSet, say: Callable[[int, int], None] | None = None) -> list[Finding]:
@@ -198,6 +209,8 @@ class _Traits:
 
     name: str
     extent: np.ndarray
+    footing: float
+    """How far its lowest tenth spreads sideways, over its highest tenth: two feet for one head."""
     area: float
     colours: np.ndarray | None
 
@@ -207,20 +220,31 @@ class _Traits:
         if scan.colours is not None:
             place = (scan.colours // 64).astype(int) @ [16, 4, 1]
             colours = np.bincount(place, minlength=64) / len(place)
-        return cls(scan.name, np.ptp(scan.vertices, axis=0), float(_areas(scan).sum()), colours)
+        height = (scan.vertices[:, 1] - scan.vertices[:, 1].min()) / max(float(np.ptp(scan.vertices[:, 1])), 1e-12)
+        feet, head = (
+            float(np.linalg.norm(scan.vertices[part][:, [0, 2]].std(axis=0)))
+            for part in (height <= END, height >= 1 - END)
+        )
+        extent, area = np.ptp(scan.vertices, axis=0), float(_areas(scan).sum())
+        return cls(scan.name, extent, feet / max(head, 1e-12), area, colours)
 
 
 def _up_axis(scans: ScanSet, traits: list[_Traits]) -> list[Finding]:
-    """People mostly stand: of most scans the largest extent is upward."""
+    """People mostly stand, on their feet: of most scans the largest extent is upward, and the lower end spreads."""
     if not traits:
         return []
     extent = np.median([trait.extent for trait in traits], axis=0)
-    if extent[1] >= 0.75 * extent.max():
-        return []
-    files = np.abs(scans.rotation.T @ np.eye(3)[int(extent.argmax())])
-    axis = "xyz"[int(files.argmax())]
-    message = f'seems to lie: its files are longest along {axis}; try up_axis = "{axis}" or "-{axis}"'
-    return [Finding(trait.name, message, False) for trait in traits]
+    files = scans.rotation.T @ np.eye(3)[int(extent.argmax())]
+    axis = "xyz"[int(np.abs(files).argmax())]
+    if extent[1] < LIES[0] * extent.max():
+        message = f'seems to lie: its files are longest along {axis}; try up_axis = "{axis}" or "-{axis}"'
+        return [Finding(trait.name, message, False) for trait in traits]
+    if len(traits) >= FEW and np.median([trait.footing for trait in traits]) < ON_ITS_HEAD:
+        other = f"{'-' if files.sum() > 0 else ''}{axis}"
+        message = f'seems to stand on its head: its upper end spreads like feet; try up_axis = "{other}"'
+        return [Finding(trait.name, message, False) for trait in traits]
+    message = "seems to lie, and the others stand; is its up axis another? Turn it, or move it to a folder of its own"
+    return [Finding(t.name, message, False) for t in traits if t.extent[1] < LIES[1] * t.extent.max()]
 
 
 def _strangers(traits: list[_Traits]) -> list[Finding]:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_bytes
 
 SUFFIXES: Final = (".ply", ".obj", ".glb")
 
@@ -43,7 +44,7 @@ def read_mesh_file(path: Path) -> MeshFile:
     faces = np.array(mesh.faces, dtype=np.int32).reshape(-1, 3)
     if not len(faces):
         raise CaphyError(f"{path}: a scan must be a triangle mesh, this is a cloud of {len(vertices)} points; mesh it")
-    colours, label = _colours(mesh), _ply_label(mesh)
+    colours, label = _colours(mesh, path), _ply_label(mesh)
     if path.suffix.lower() == ".obj":
         wanted, painted = _obj_vertices(path)
         # A reader without the material makes a grey of its own
@@ -63,9 +64,7 @@ def write_ply(path: Path, mesh: MeshFile) -> None:
         made.visual.vertex_colors = mesh.colours
     if mesh.label is not None:
         made.vertex_attributes["label"] = mesh.label.astype(np.uint8)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(made.export(file_type="ply"))
-    partial.replace(path)
+    write_bytes(path, made.export(file_type="ply"))
 
 
 def _load(path: Path) -> Any:
@@ -82,15 +81,24 @@ def _load(path: Path) -> Any:
     return loaded
 
 
-def _colours(mesh: Any) -> np.ndarray | None:
-    """Colours (V, 3) of the vertices, looked up in the texture where there is one."""
+def _colours(mesh: Any, path: Path) -> np.ndarray | None:
+    """Colours (V, 3) of the vertices, looked up in the texture where there is one.
+
+    Raises:
+        CaphyError: the texture is damaged.
+    """
     visual: Any = mesh.visual
     if visual is None or not visual.defined:
         return None
     if visual.kind == "texture":
         if visual.uv is None or (getattr(visual.material, "image", None) is None and not _has_base_image(visual)):
             return None
-        visual = visual.to_color()
+        try:
+            visual = visual.to_color()
+        except Exception as error:  # pictures are read only here
+            raise CaphyError(
+                f"{path}: its texture cannot be read ({type(error).__name__}: {error}); copy the picture again"
+            ) from error
     colours = np.asarray(visual.vertex_colors)
     return colours[:, :3].astype(np.uint8) if colours.shape == (len(mesh.vertices), 4) else None
 

@@ -6,13 +6,14 @@ import json
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.io.places import write_text
+from caphy.io.places import write_bytes, write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.scan.mesh_files import SUFFIXES, MeshFile, read_mesh_file, write_ply
 from caphy.scan.scan import LABEL_NAMES, UNKNOWN, Scan
@@ -149,11 +150,9 @@ def read_labels(path: Path) -> np.ndarray:
 
 def write_labels(path: Path, labels: np.ndarray) -> None:
     """Write labels (V,) as a ``.npy`` of uint8, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as stream:
-        np.save(stream, np.asarray(labels, dtype=np.uint8), allow_pickle=False)
-    partial.replace(path)
+    stream = BytesIO()
+    np.save(stream, np.asarray(labels, dtype=np.uint8), allow_pickle=False)
+    write_bytes(path, stream.getvalue())
 
 
 def translated(numbers: np.ndarray, meaning: Mapping[int, int] | None, where: Path, own: bool = True) -> np.ndarray:

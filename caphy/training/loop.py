@@ -17,7 +17,7 @@ from caphy.errors import CaphyError
 from caphy.io.places import write_text
 from caphy.network.files import save_network
 from caphy.network.garment_network import GarmentNetwork
-from caphy.training.checkpoint import load_checkpoint, save_checkpoint
+from caphy.training.checkpoint import NAME, load_checkpoint, save_checkpoint
 from caphy.training.learner import Learner, stiffness
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective
@@ -178,10 +178,11 @@ class Trainer:
 
     def _require_finite(self, *values: Tensor) -> None:
         if not torch.isfinite(torch.stack([value.sum() for value in values]).sum()):  # asked once: a GPU is waited for
+            kept = (self.folder / NAME).is_file()
             raise CaphyError(
-                f"step {self.progress.step + 1}: the prediction, its potential or the gradient is not finite. The last "
-                f"good checkpoint is kept in {self.folder}; check the garment with 'caphy garment info' and the "
-                "model's parameters, then go on with --resume"
+                f"step {self.progress.step + 1}: the prediction, its potential or the gradient is not finite; check "
+                "the garment with 'caphy garment info' and the model's parameters, then "
+                + (f"go on with --resume from the last good checkpoint in {self.folder}" if kept else "train again")
             )
 
     def run(self, checkpoint_seconds: float = 120.0) -> None:

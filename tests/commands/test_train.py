@@ -97,6 +97,7 @@ def test_goes_on_only_with_what_it_began_with(inputs, capsys, monkeypatch):
         (["--fabric", "gray-interlock", "--model", "m.json"], "not both"),
         (["--steps", "0"], "--steps must be positive"),
         (["--minutes", "-1"], "--minutes must be positive"),
+        (["--minutes", "inf"], "--minutes must be positive and finite, got inf"),
         (["nowhere.npz"], "nowhere.npz"),  # held out too
         (["--fabric", "silk-of-spiders"], "silk-of-spiders"),
         (["--resume"], "checkpoint.safetensors"),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shlex
 
 import numpy as np
 from small_world import swaying, tube
 
 from caphy.cli import main
+from caphy.commands.begun import exporting
 from caphy.commands.validate import Validate, _clips
 from caphy.io.poses import write_poses
 from export.runs import read_run
@@ -33,11 +35,35 @@ def test_measures_a_run_beside_the_solver(tmp_path, capsys):
     assert "beside_solver" not in read_run(run, told.append).metrics
     assert "is of another network" in told[0]
 
+    assert main(["validate", str(run), "--frames", "0"]) == 2
+    assert "--frames must be at least 1, got 0" in capsys.readouterr().err
     unseen.unlink()
     assert main(["validate", str(run)]) == 2
     assert "give pose files" in capsys.readouterr().err
     assert main(["validate", str(tmp_path)]) == 2
     assert "not a folder that 'caphy train' wrote" in capsys.readouterr().err
+
+
+def test_held_out_motions_are_found_from_any_folder(tmp_path, monkeypatch, capsys):
+    tube().save(tmp_path / "tube.npz")
+    for seed in range(2):
+        write_poses(swaying(20, seed), tmp_path / f"{seed}.npz")
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "tube.npz", "0.npz", "--held-out", "1.npz", "--steps", "1", "-o", "run"]) == 0
+    assert "next: caphy export run -o avatars/run" in capsys.readouterr().out
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert read_run(tmp_path / "run").held_out == (str(tmp_path / "1.npz"),)
+
+
+def test_an_export_on_a_body_of_one_s_own_names_it(tmp_path):
+    run = tmp_path / "mine"
+    run.mkdir()
+    (run / "options.json").write_text(json.dumps({"body": str(tmp_path / "my body.npz")}))
+    assert shlex.split(exporting("worn", run, run)) == [
+        *("caphy", "export", str(run), str(run), "--body", str(tmp_path / "my body.npz")),
+        *("--licence", "the licence of this body", "-o", "avatars/worn"),
+    ]
 
 
 def test_of_a_clip_whose_end_is_held_out_the_end_is_measured(tmp_path):

@@ -10,6 +10,8 @@ import trimesh
 from caphy.cli import main
 from caphy.garment.template import Garment
 from caphy.garment.topology import boundary_edges
+from caphy.io.poses import write_poses
+from caphy.io.procedural import procedural_motion
 
 
 def test_make_info_check_render(tmp_path, capsys):
@@ -54,6 +56,40 @@ def test_what_export_would_refuse_is_refused_at_once(tmp_path, capsys):
     assert "make it again with 'caphy garment from-mesh --name'" in capsys.readouterr().err
     assert main(["garment", "info", str(mesh)]) == 2
     assert "it is no npz" in capsys.readouterr().err
+
+
+def test_nothing_that_is_read_is_replaced(tmp_path, capsys):
+    made = tmp_path / "shorts.npz"
+    assert main(["garment", "make", "shorts", "--edge-length", "0.04", "-o", str(made)]) == 0
+    garment, mesh = Garment.load(made), tmp_path / "mine.obj"
+    trimesh.Trimesh(garment.vertices, garment.faces, process=False).export(mesh)
+    text, poses = mesh.read_bytes(), tmp_path / "walk.npz"
+    write_poses(procedural_motion(0, 0.2), poses)
+    (tmp_path / "linked.npz").symlink_to(made)
+    before = made.read_bytes(), poses.read_bytes()
+    for command, says in (
+        (["garment", "from-mesh", str(mesh), "-o", str(mesh)], "what is written there is a .npz file"),
+        (["simulate", str(made), str(poses), "-o", str(made)], "is read, and would be replaced"),
+        (["simulate", str(made), str(poses), "-o", str(poses)], "is read, and would be replaced"),
+        (["simulate", str(made), str(poses), "-o", str(tmp_path / "linked.npz")], "is read, and would be replaced"),
+        (["simulate", str(made), str(poses), "--render", str(poses)], "is a .png file"),
+        (["garment", "render", str(made), "-o", str(made)], "is a .png file"),
+    ):
+        assert main(command) == 2
+        assert says in capsys.readouterr().err
+    assert mesh.read_bytes() == text and (made.read_bytes(), poses.read_bytes()) == before
+
+
+def test_numbers_of_a_mesh_that_mean_nothing_are_refused(tmp_path, capsys):
+    mesh = tmp_path / "mine.obj"
+    trimesh.creation.cylinder(0.3, 0.5).export(mesh)
+    for more, says in (
+        (["--panel-scale", "0"], "--panel-scale must be positive and finite, got 0"),
+        (["--panel-scale", "nan"], "--panel-scale must be positive and finite, got nan"),
+        (["--offset", "nan", "0", "0"], "--offset must be three finite numbers"),
+    ):
+        assert main(["garment", "check", str(mesh), *more]) == 2
+        assert says in capsys.readouterr().err
 
 
 def test_check_refuses_what_could_not_be_worn(tmp_path, capsys):

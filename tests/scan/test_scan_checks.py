@@ -136,6 +136,23 @@ def test_a_set_that_lies_is_asked_for_its_up_axis(tmp_path):
     assert 'try up_axis = "z" or "-z"' in findings[0].message
 
 
+def test_a_set_on_its_head_is_asked_for_its_up_axis(tmp_path):
+    vertices = _person()[0] * [1, -1, -1]
+    _set(tmp_path / "set", [_scan(name=f"s{i}", vertices=vertices) for i in range(3)])
+    findings = check_set(ScanSet.read(tmp_path / "set"))
+    assert [finding.scan for finding in findings] == ["s0", "s1", "s2"]
+    assert 'stand on its head: its upper end spreads like feet; try up_axis = "-y"' in findings[0].message
+    assert not any(finding.severe for finding in findings)
+
+
+def test_one_that_lies_among_others_that_stand_is_named(tmp_path):
+    lying = _person()[0] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    scans = [_scan(name=f"s{i}") for i in range(4)] + [_scan(name="z_up", vertices=lying)]
+    findings = check_set(_set(tmp_path / "set", scans))
+    assert [finding.scan for finding in findings] == ["z_up"]
+    assert "seems to lie, and the others stand" in findings[0].message
+
+
 def test_an_unreadable_scan_costs_only_itself(tmp_path):
     scans = _set(tmp_path / "set", [_scan(name=f"s{i}") for i in range(3)])
     scans.files[1].write_bytes(b"ply\nnonsense")

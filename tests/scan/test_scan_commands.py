@@ -43,6 +43,15 @@ def test_segment_leaves_out_what_it_cannot_read_and_resumes(scans, tmp_path, cap
     assert (scans / "labels" / "scan_000.npy").stat().st_mtime_ns == stamp
 
 
+def test_neither_segments_nor_registers_what_is_in_another_unit(scans, tmp_path, capsys):
+    (scans / "scan_001.ply").unlink()
+    (scans / "scans.toml").write_text('unit = "cm"\nup_axis = "y"\n')
+    for command in (["segment", str(scans)], ["register", "body", str(scans), "-o", str(tmp_path / "run")]):
+        assert main(command) == 2
+        said = capsys.readouterr()
+        assert "a person must measure 0.7 to 3.0 m across" in said.out + said.err
+
+
 def test_labels_of_another_parser_or_another_scan_are_made_anew_and_those_by_hand_are_kept(scans, tmp_path, capsys):
     """First by labels that came with the scans, all wrong so that nothing else would make them; then by colours."""
     out, given = tmp_path / "made", ScanSet.read(scans)
@@ -100,7 +109,7 @@ def test_labels_are_not_read_and_written_in_one_place(scans, tmp_path, capsys):
     assert main(["segment", str(scans), "--parser", "labels"]) == 2
     assert "give another folder to write into with --out" in capsys.readouterr().err
     assert main(["segment", str(scans), "--parser", "labels", "--out", str(tmp_path / "smoothed")]) == 1
-    assert f"give --labels {tmp_path / 'smoothed'}" in capsys.readouterr().out
+    assert f"next: caphy register body {scans} --labels {tmp_path / 'smoothed'} -o run" in capsys.readouterr().out
 
 
 def test_numbers_of_others_are_not_given_their_meaning_twice(scans, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 
 import cv2
@@ -70,6 +71,31 @@ def test_obj_with_a_texture_keeps_the_order_of_its_vertices(tmp_path):
     (tmp_path / "quad.mtl").unlink()  # readers make a grey of their own then
     (scan,) = ScanSet.read(tmp_path)
     assert scan.colours is None and len(scan.vertices) == 4
+
+
+def test_a_damaged_texture_costs_only_its_own_scan(tmp_path):
+    _describe(tmp_path)
+    cv2.imwrite(str(tmp_path / "skin.png"), np.random.default_rng(0).integers(0, 255, (20, 20, 3), np.uint8))
+    picture = (tmp_path / "skin.png").read_bytes()
+    (tmp_path / "quad.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    (tmp_path / "quad.obj").write_text(
+        "mtllib quad.mtl\nusemtl skin\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0.1 0.1\nvt 0.2 0.1\nvt 0.2 0.3\nf 1/1 2/2 3/3\n"
+    )
+    scans = ScanSet.read(tmp_path)
+    assert scans[0].colours is not None
+    (tmp_path / "skin.png").write_bytes(picture[: len(picture) // 2])
+    with pytest.raises(CaphyError, match=r"quad\.obj: its texture cannot be read .*; copy the picture again"):
+        scans[0]
+
+
+def test_labels_that_a_full_disk_cuts_short_are_not_there(tmp_path, monkeypatch):
+    def full(*places):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(CaphyError, match=r"one\.npy: cannot be written \(No space left on device\); free space"):
+        write_labels(tmp_path / "one.npy", np.zeros(3, np.uint8))
+    assert not list(tmp_path.iterdir())
 
 
 def test_glb_whose_triangles_share_no_vertices_is_joined(tmp_path):

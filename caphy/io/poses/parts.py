@@ -27,6 +27,12 @@ def file_of(source: str) -> str:
     return _FRAMES.sub("", source)
 
 
+def placed(source: str) -> str:
+    """The source of a motion as it is found from any folder; of one that is no file as it is."""
+    path = file_of(source)
+    return str(Path(path).resolve()) + source[len(path) :] if Path(path).is_file() else source
+
+
 def read_part(source: str) -> PoseSequence:
     """A motion by its source: a pose file, or the part of it that :func:`part` names.
 
