@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -16,10 +14,10 @@ from caphy.io.bundle import AvatarBundle
 from caphy.io.poses import PoseSequence, placed_on, read_poses
 from service.errors import Problem
 from service.protocol import FramesRequest, encode_request
+from service.viewer.pose_lengths import require_short
 
 SUFFIXES: Final = (".npz", ".bvh")
 """Formats without code in them; .pkl and .pt may run code when read, so they are converted offline."""
-MAX_UNPACKED_BYTES: Final = 128 << 20
 MAX_SECONDS: Final = 300.0
 DAMAGE: Final = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
 """How a reader may fail on a file that is damaged in a way nobody thought of; never the service's fault."""
@@ -43,16 +41,9 @@ def read_upload(name: str, content: bytes, bundle: AvatarBundle, fps: float | No
             f"pose files here end in {' or '.join(SUFFIXES)}, got {suffix[:16]!r}; convert others on your own machine "
             "with 'caphy poses convert', because files of Python objects may hold code",
         )
-    if suffix == ".npz":
-        _require_small(name, content)
+    require_short(name, content)
     with _folder_of(f"upload{suffix}", content) as folder:
-        sequence = _read(Path(folder, f"upload{suffix}"), name, fps)
-    if sequence.frame == "camera":
-        raise Problem(422, f"{name}: these poses are in a camera's frame; convert them to world coordinates first")
-    if sequence.duration > MAX_SECONDS:
-        raise Problem(413, f"{name}: a motion here may last {MAX_SECONDS:g} s, got {sequence.duration:.0f} s; cut it")
-    sole = float(bundle.body.vertices[:, 1].min())
-    return placed_on(sequence.to_y_up(), bundle.joints, sole).resample(bundle.fps)
+        return _read(Path(folder, f"upload{suffix}"), name, bundle, fps)
 
 
 def frames_request(sequence: PoseSequence) -> tuple[bytes, dict[str, str]]:
@@ -60,17 +51,6 @@ def frames_request(sequence: PoseSequence) -> tuple[bytes, dict[str, str]]:
     body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, np.zeros(0)))
     headers = {SOURCE_HEADER: json.dumps(sequence.source), NOTES_HEADER: json.dumps(list(sequence.notes))}
     return body, headers
-
-
-def _require_small(name: str, content: bytes) -> None:
-    """Refuse archives whose members claim to unpack to more than is allowed; zipfile holds them to their claims."""
-    try:
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-    except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-        raise Problem(422, f"{name}: not a readable .npz archive, perhaps cut short: {error}") from error
-    if size > MAX_UNPACKED_BYTES:
-        raise Problem(413, f"{name}: an archive may unpack to {MAX_UNPACKED_BYTES} bytes, this one says {size}")
 
 
 def _folder_of(name: str, content: bytes) -> TemporaryDirectory[str]:
@@ -91,10 +71,19 @@ def _folder_of(name: str, content: bytes) -> TemporaryDirectory[str]:
     )  # fmt: skip
 
 
-def _read(path: Path, name: str, fps: float | None) -> PoseSequence:
-    """The motion, with the uploaded file's own name in the place of the temporary one in all that is said."""
+def _read(path: Path, name: str, bundle: AvatarBundle, fps: float | None) -> PoseSequence:
+    """The motion on the avatar's body, with the uploaded file's own name in the place of the temporary one in all that
+    is said."""
     try:
         sequence = read_poses(path, fps=fps)
+        if sequence.frame == "camera":
+            raise Problem(422, f"{name}: these poses are in a camera's frame; convert them to world coordinates first")
+        if (seconds := sequence.duration) > MAX_SECONDS:
+            raise Problem(413, f"{name}: a motion here may last {MAX_SECONDS:g} s, got {seconds:.0f} s; cut it")
+        sole = float(bundle.body.vertices[:, 1].min())
+        sequence = placed_on(sequence.to_y_up(), bundle.joints, sole).resample(bundle.fps)
+    except Problem:
+        raise
     except CaphyError as error:
         said = str(error).replace(str(path), name).replace(" with 'caphy poses convert --fps RATE'", "")
         raise Problem(422, said) from error

@@ -130,8 +130,44 @@ def test_archives_that_unpack_to_too_much(http):
     refused(send(http, "bomb.npz", stream.getvalue()), 413, "unpack")
 
 
+def frames_of_zeros(frames: int, kind: str = "i1", **changes) -> bytes:
+    """A small file of many frames, at 10 kHz so that they take less than 300 s."""
+    stream = io.BytesIO()
+    arrays = {"poses": np.zeros((frames, 165), kind), "trans": np.zeros((frames, 3), kind), "mocap_frame_rate": 1e4}
+    np.savez_compressed(stream, **{**arrays, **changes})
+    return stream.getvalue()
+
+
+def test_small_files_of_many_frames_are_refused_by_their_headers(http, monkeypatch):
+    skeleton = cmu_skeleton()
+    bvh = skeleton.bvh_text(skeleton.random_angles(np.random.default_rng(0), 3), skeleton.root_path(3)).encode()
+    parts = {"root_orient": np.zeros((1, 70_000, 3), "i1"), "pose_body": np.zeros((70_000, 63), "i1")}
+    hidden = io.BytesIO(frames_of_zeros(3))
+    with zipfile.ZipFile(hidden, "a") as archive, zipfile.ZipFile(io.BytesIO(frames_of_zeros(40_000))) as more:
+        archive.writestr("trans", more.read("trans.npy"))
+    monkeypatch.setattr("service.viewer.pose_files.read_poses", lambda *_, **__: pytest.fail("it was read"))
+    for name, content, word in (
+        ("a.npz", frames_of_zeros(90_000), "90000"),
+        ("a.npz", frames_of_zeros(70_000, poses=np.zeros(3), **parts), "70000"),
+        ("a.npz", hidden.getvalue(), "40000"),
+        ("a.npz", frames_of_zeros(3, betas=np.zeros(17_000_000, "i1")), "unpack"),
+        ("A.BVH", bvh.replace(b"Frames: 3", b"Frames:\t1e6"), "1000000"),
+        ("a.bvh", bvh.replace(b"Frames: 3", b"Frames: 30000").replace(b"ROOT", b"JOINT " * 100 + b"ROOT"), "unpack"),
+    ):
+        assert len(content) < 1 << 17
+        refused(send(http, name, content), 413, name, word)
+
+
+def test_what_fails_after_reading_is_the_files_fault_too(http, monkeypatch):
+    def too_little_memory(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("service.viewer.pose_files.placed_on", too_little_memory)
+    refused(send(http, "a.npz", amass()), 422, "a.npz", "MemoryError")
+
+
 def test_headers_that_promise_more_than_there_is(http):
-    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000, 3), }"
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (20000, 156), }"
     npy = b"\x93NUMPY\x01\x00" + (118).to_bytes(2, "little") + header.ljust(117).encode() + b"\n"
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
