@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.io.poses import PoseSequence
@@ -18,6 +18,7 @@ from service.conditioned import Conditioned
 from service.encodings import LABELS, Encoding, JointMotion, Meshes
 from service.engine import GarmentEngine
 from service.errors import Problem
+from service.json_bodies import validated
 from service.protocol import FramesRequest, FramesResponse
 from service.settings import Settings
 from service.settling import run_settling
@@ -33,6 +34,8 @@ SKELETONS: Final = {
     54: "SMPL-X without the root",
 }
 """What a wrong number of joints probably is."""
+Numbers = Annotated[list[float], Field(fail_fast=True)]
+Rows = Annotated[list[Numbers], Field(fail_fast=True)]
 
 
 class JsonRequest(BaseModel):
@@ -41,26 +44,21 @@ class JsonRequest(BaseModel):
     # strict: true is not one frame a second, and "0.5" is not an angle; whole numbers still are
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
-    poses: list[list[list[float]]] = Field(description="axis-angle per frame and SMPL-X joint [rad]: (T, 55, 3)")
-    transl: list[list[float]] | None = Field(
-        None, description="translation per frame [m]: (T, 3), y up; zero if absent"
+    poses: Annotated[list[Rows], Field(fail_fast=True)] = Field(
+        description="axis-angle per frame and SMPL-X joint [rad]: (T, 55, 3)"
     )
+    transl: Rows | None = Field(None, description="translation per frame [m]: (T, 3), y up; zero if absent")
     fps: float = Field(description="frames per second of the poses [Hz]")
-    state: dict[str, list[float]] = Field({}, description="state per garment, from the answer this one continues")
-    times: list[float] | None = Field(None, description="time stamp per frame [s]: (T,), for conditioned motions")
-    confidence: list[list[float]] | list[float] | None = Field(
+    state: dict[str, Numbers] = Field({}, description="state per garment, from the answer this one continues")
+    times: Numbers | None = Field(None, description="time stamp per frame [s]: (T,), for conditioned motions")
+    confidence: Rows | Numbers | None = Field(
         None, description="per frame, or frame and joint, 0 for not seen to 1: (T,) or (T, 55), for conditioned motions"
     )
 
 
-def parse_json(body: bytes, engines: list[GarmentEngine]) -> FramesRequest:
-    """The request in a JSON body; raises Problem where it is not one."""
-    try:
-        parsed = JsonRequest.model_validate_json(body)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the body"
-        raise Problem(422, f"{where}: {first['msg']}") from error
+def parse_json(body: bytes, engines: list[GarmentEngine], most: int) -> FramesRequest:
+    """The request in a JSON body, of at most ``most`` frames; raises Problem where it is not one."""
+    parsed = validated(JsonRequest, body, most, sum(engine.state_size for engine in engines))
     poses = _array(parsed.poses, "poses", "(frames, 55, 3)", 3)
     transl = np.zeros((len(poses), 3)) if parsed.transl is None else _array(parsed.transl, "transl", "(frames, 3)", 2)
     times = None if parsed.times is None else _array(parsed.times, "times", "(frames,)", 1)

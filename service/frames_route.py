@@ -87,7 +87,10 @@ async def post_frames(
     def work() -> Response:
         stages = Stages(metrics.stage_seconds)
         with stages.time("parse"):
-            parsed = frames.parse_json(body, engines) if sent == JSON_MEDIA_TYPE else protocol.decode_request(body)
+            if sent == JSON_MEDIA_TYPE:
+                parsed = frames.parse_json(body, engines, settings.max_frames)
+            else:
+                parsed = protocol.decode_request(body)
             require_conditionable(parsed, asked, settings.max_frames)
             frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))
             count = frames.answered_frames(parsed, found.bundle.fps)

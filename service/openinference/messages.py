@@ -10,35 +10,55 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.errors import Problem
+from service.json_bodies import validated
 
 HEADER_LENGTH: Final = "inference-header-content-length"
 DATATYPE: Final = "FP32"
 FLOAT: Final = np.dtype("<f4")
-Parameters = dict[str, bool | int | float | str]
 Dimension = Annotated[int, Field(ge=0, lt=1 << 32)]
+MOST_DIMENSIONS: Final = 8
 
 
-class InputTensor(BaseModel):
+class Known(BaseModel):
+    """What is not known is refused by name: who asks for it would take the answer for what he asked."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class InputParameters(Known):
+    """binary_data_size: bytes of the tensor after the JSON."""
+
+    binary_data_size: int | None = None
+
+
+class InputTensor(Known):
     """One tensor of a request: numbers in ``data``, nested or flat, or bytes after the JSON."""
 
     name: str
-    shape: list[Dimension] = Field(max_length=8)
+    shape: Annotated[list[Dimension], Field(fail_fast=True)] = Field(max_length=MOST_DIMENSIONS)
     datatype: str
-    parameters: Parameters = {}
+    parameters: InputParameters = InputParameters()
     data: list[Any] | None = None
 
 
-class RequestedOutput(BaseModel):
-    """One tensor of the answer that is asked for; parameter ``binary_data`` asks for bytes."""
+class OutputParameters(Known):
+    """binary_data: whether the tensor comes as bytes."""
+
+    binary_data: bool | None = None
+
+
+class RequestedOutput(Known):
+    """One tensor of the answer that is asked for."""
 
     name: str
-    parameters: Parameters = {}
+    parameters: OutputParameters = OutputParameters()
 
 
 class Error(BaseModel):
@@ -47,26 +67,35 @@ class Error(BaseModel):
     error: str
 
 
-class InferRequest(BaseModel):
-    """The JSON of a request; parameter ``binary_data_output`` asks for bytes of every output."""
+class InferParameters(Known):
+    """fps: of the poses [Hz]. binary_data_output: whether tensors of which nothing else is said come as bytes."""
+
+    fps: float | None = None
+    binary_data_output: bool = False
+
+
+class InferRequest(Known):
+    """The JSON of a request; KServe's client repeats the model's name in it."""
 
     id: str | None = Field(None, max_length=256)
-    parameters: Parameters = {}
-    inputs: list[InputTensor] = Field(max_length=8)
-    outputs: list[RequestedOutput] = Field([], max_length=8)
+    model_name: str | None = None
+    parameters: InferParameters = InferParameters()
+    inputs: Annotated[list[InputTensor], Field(fail_fast=True)] = Field(max_length=8)
+    outputs: Annotated[list[RequestedOutput], Field(fail_fast=True)] = Field([], max_length=8)
 
     def wanted(self, names: Sequence[str]) -> dict[str, bool]:
         """The outputs asked for, all of ``names`` where none is, and whether as bytes.
 
         Raises Problem for others than ``names``.
         """
-        binary = self.parameters.get("binary_data_output") is True
+        binary = self.parameters.binary_data_output
         if not self.outputs:
             return dict.fromkeys(names, binary)
         for output in self.outputs:
             if output.name not in names:
                 raise Problem(422, f"outputs: must be among {', '.join(names)}, got {output.name[:64]!r}")
-        return {output.name: output.parameters.get("binary_data", binary) is True for output in self.outputs}
+        said = {output.name: output.parameters.binary_data for output in self.outputs}
+        return {name: binary if as_bytes is None else as_bytes for name, as_bytes in said.items()}
 
 
 def request_schema() -> dict[str, Any]:
@@ -83,15 +112,13 @@ def request_schema() -> dict[str, Any]:
     return resolved(schema)
 
 
-def decode(body: bytes, header_length: str | None) -> tuple[InferRequest, dict[str, np.ndarray]]:
-    """The JSON of a request and its tensors by name, float32; raises Problem where the bytes are no such request."""
+def decode(
+    body: bytes, header_length: str | None, most: int, state_size: int
+) -> tuple[InferRequest, dict[str, np.ndarray]]:
+    """The JSON of a request of at most ``most`` frames and its tensors by name, float32; raises Problem where the bytes
+    are no such request."""
     size = _json_size(header_length, len(body))
-    try:
-        request = InferRequest.model_validate_json(body[:size])
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"])) or "the body"
-        raise Problem(422, f"{where}: {first['msg']}") from error
+    request = validated(InferRequest, body[:size], most, state_size)
     tensors: dict[str, np.ndarray] = {}
     for tensor in request.inputs:
         if tensor.name in tensors:
@@ -115,13 +142,13 @@ def _json_size(header_length: str | None, total: int) -> int:
 def _tensor(tensor: InputTensor, body: bytes, offset: int) -> tuple[np.ndarray, int]:
     """The tensor's array, and where the next one's bytes start."""
     name, count = tensor.name[:64], math.prod(tensor.shape)
-    if "binary_data_size" not in tensor.parameters:
+    said, size = tensor.parameters.binary_data_size, FLOAT.itemsize * count
+    if said is None:
         return _shaped(_numbers(tensor.data, name, count), tensor), offset
-    said, size = tensor.parameters["binary_data_size"], FLOAT.itemsize * count
     if tensor.data is not None:
         raise Problem(422, f"{name}: must have either data or binary_data_size, got both")
-    if isinstance(said, bool) or said != size:
-        raise Problem(422, f"{name}: shape {tensor.shape} makes {size} bytes, got {str(said)[:32]}")
+    if said != size:
+        raise Problem(422, f"{name}: shape {tensor.shape} makes {size} bytes, got {said}")
     if offset + size > len(body):
         raise Problem(422, f"{name}: {size} bytes are announced, {len(body) - offset} are left")
     return _shaped(np.frombuffer(body, FLOAT, count, offset), tensor), offset + size
@@ -139,18 +166,20 @@ def _numbers(data: list[Any] | None, name: str, count: int) -> np.ndarray:
     """Numbers of JSON, nested or flat."""
     if data is None:
         raise Problem(422, f"{name}: must have data, or binary_data_size and bytes after the JSON")
-    try:
-        numbers = np.array(data)
-    except ValueError as error:
-        raise Problem(
-            422, f"{name}: data must be numbers in a flat list, or in nested lists of equal length"
-        ) from error
-    if numbers.size and numbers.dtype.kind not in "iuf":
+    flat = data
+    for _ in range(MOST_DIMENSIONS):
+        if not flat or set(map(type, flat)) != {list} or len(set(map(len, flat))) > 1:
+            break
+        flat = list(chain.from_iterable(flat))
+    if not set(map(type, flat)) <= {int, float}:  # asked first: as NumPy's text each takes as much as the longest
         raise Problem(422, f"{name}: data must be numbers, in a flat list or in nested lists of equal length")
-    if numbers.size != count:
-        raise Problem(422, f"{name}: the shape makes {count} numbers, data holds {numbers.size}")
-    with np.errstate(over="ignore"):  # becomes infinite, which is refused with the place where it stands
-        return numbers.astype(np.float32)
+    if len(flat) != count:
+        raise Problem(422, f"{name}: the shape makes {count} numbers, data holds {len(flat)}")
+    try:
+        with np.errstate(over="ignore"):  # becomes infinite, which is refused with the place where it stands
+            return np.array(flat, np.float64).astype(np.float32)
+    except OverflowError as error:
+        raise Problem(422, f"{name}: data must be numbers that a float can hold") from error
 
 
 def encode(

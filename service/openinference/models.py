@@ -61,16 +61,8 @@ class Model:
         state = tensors.get("state", np.zeros(0, np.float32))
         if state.ndim != 1:
             raise Problem(422, f"state: must have shape [{self.engine.state_size}], got {list(state.shape)}")
-        return FramesRequest(poses, transl, self._fps(asked), state)
-
-    def _fps(self, asked: InferRequest) -> float:
-        fps = asked.parameters.get("fps", self.avatar.bundle.fps)
-        if isinstance(fps, bool | str):
-            raise Problem(422, f"parameters.fps: must be a number, got {str(fps)[:64]!r}")
-        try:
-            return float(fps)
-        except OverflowError as error:
-            raise Problem(422, "parameters.fps: must be a number that a float can hold") from error
+        fps = asked.parameters.fps
+        return FramesRequest(poses, transl, self.avatar.bundle.fps if fps is None else fps, state)
 
     def infer(self, request: FramesRequest) -> dict[str, np.ndarray]:
         """The outputs by name."""

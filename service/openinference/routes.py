@@ -98,7 +98,7 @@ async def infer(request: Request, model: ModelName, version: ModelVersion | None
     def work() -> Response:
         stages = Stages(metrics.stage_seconds)
         with stages.time("parse"):
-            asked, tensors = messages.decode(body, header_length)
+            asked, tensors = messages.decode(body, header_length, settings.max_frames, found.engine.state_size)
             wanted = asked.wanted(OUTPUTS)
             parsed = found.request(asked, tensors)
             fps = found.avatar.bundle.fps

@@ -117,7 +117,7 @@ def test_errors_reach_the_client_in_words(client, motion):
 def test_shared_memory_is_not_offered(client, motion):
     inputs = [triton.InferInput("poses", [2, 55, 3], "FP32")]
     inputs[0].set_shared_memory("region", 2 * 55 * 3 * 4)
-    with pytest.raises(InferenceServerException, match="must have data, or binary_data_size"):
+    with pytest.raises(InferenceServerException, match=r"shared_memory_region: is not known here"):
         client.infer("shell.tshirt", inputs)
 
 
@@ -153,6 +153,12 @@ BAD_REQUESTS = [
     ({"inputs": [poses()], "outputs": [{"name": "normals"}]}, "vertices, next_state"),
     ({"inputs": [poses()], "parameters": {"fps": "x"}}, "fps"),
     ({"inputs": [poses()], "parameters": {"fps": 0}}, "fps"),
+    ({"inputs": [poses()], "parameters": {"fps": 10**400}}, "fps"),
+    ({"inputs": [poses()], "parameters": {"Fps": 60}}, "parameters.Fps: is not known here"),
+    ({"inputs": [poses()], "parameters": {"sequence_id": 7, "sequence_start": True}}, "parameters.sequence_id: is not"),
+    ({"inputs": [poses()], "parameters": {"binary_data_output": "true"}}, "parameters.binary_data_output"),
+    ({"inputs": [poses()], "outputs": [{"name": "vertices", "parameters": {"classification": 3}}]}, "classification"),
+    ({"inputs": [poses()], "bogus": 3}, "bogus: is not known here"),
     ({"inputs": [poses(), poses(name="state", shape=[1], data=[0])]}, "state"),
     ({"inputs": [poses(), poses(name="state", shape=[1, 1], data=[0])]}, "state"),
     ({"inputs": [poses(), poses(name="transl", shape=[2, 3], data=[0] * 6)]}, "transl"),
@@ -165,6 +171,18 @@ def test_bad_requests(http, body, word):
     assert response.status_code == 400, response.text[:300]
     assert list(response.json()) == ["error"]
     assert word in response.json()["error"]
+
+
+def test_text_among_numbers_is_not_made_into_an_array(http, monkeypatch):
+    """NumPy gives every text as many bytes as the longest: 125 kB became 2 GB."""
+    monkeypatch.setattr("service.openinference.messages.np.array", lambda *_: 1 / 0)
+    body = {"inputs": [poses(data=["x" * 100_000, *(["a"] * 5000)])]}
+    assert "must be numbers" in http.post(INFER, content=json.dumps(body)).json()["error"]
+
+
+def test_what_kserves_client_says_besides(http):
+    asked = {"id": "a", "model_name": "shell.tshirt", "inputs": [poses()]}
+    assert http.post(INFER, content=json.dumps(asked)).status_code == 200
 
 
 @pytest.mark.parametrize("length", ["-1", "x", "999", "1e1", "²", "9" * 40])
