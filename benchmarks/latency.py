@@ -181,7 +181,7 @@ def stages(count: int) -> None:
 
         def parse(body: bytes = body) -> protocol.FramesRequest:
             request = protocol.decode_request(body)
-            require_valid(request, settings, 30.0, engines[0].state_size)
+            require_valid(request, settings, 30.0, engines[:1])
             return request
 
         request, parts = parse(), []

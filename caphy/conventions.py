@@ -52,3 +52,7 @@ JOINT_PARENTS: Final[tuple[int, ...]] = (
     *(21, 40, 41, 21, 43, 44, 21, 46, 47, 21, 49, 50, 21, 52, 53),
 )
 """Parent joint of each joint; the root's is -1."""
+
+MOTION_STATE: Final = 16
+"""Length of the motion's part at the end of a network's state: root translation (3), velocity (3), rotation (9,
+row-major) and the number of frames seen, 0, 1 or 2. Before it stands the GRU's memory."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from caphy.conventions import JOINT_COUNT
 from caphy.errors import CaphyError
+from service.errors import Problem
 
 Part = bytes | memoryview
 
@@ -37,6 +38,7 @@ EncodingName = Literal["float32", "float16", "uint16", "weights"]
 LABELS: Final = tuple(encoding.label for encoding in Encoding)
 NORMAL_SCALE: Final = 127
 QUANTUM: Final = 65535
+HALF_MAX: Final = float(np.finfo(np.float16).max)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +71,7 @@ def encode_meshes(meshes: Meshes, encoding: Encoding) -> list[Part]:
         if meshes.joints is None:
             raise ValueError("weights need the joints' motion")
         parts = _raw(meshes.joints.root, "<f4") + _raw(meshes.joints.rotations, "<f4")
-        return parts + [part for weights in meshes.weights.values() for part in _raw(weights, "<f2")]
+        return parts + [part for weights in meshes.weights.values() for part in _halves(weights)]
     parts = []
     for name, vertices in meshes.vertices.items():
         parts += ENCODERS[encoding](vertices)
@@ -123,6 +125,13 @@ def _raw(array: np.ndarray, dtype: str) -> list[Part]:
     return [flat.data, bytes(-len(flat) % 4)] if len(flat) % 4 else [flat.data]
 
 
+def _halves(array: np.ndarray) -> list[Part]:
+    """Half floats; raises Problem 422 for what they cannot hold, which would become infinite."""
+    if not -HALF_MAX <= array.min(initial=0) <= array.max(initial=0) <= HALF_MAX:
+        raise Problem(422, f"a garment left the half floats (within {HALF_MAX:g}); ask for float32")
+    return _raw(array, "<f2")
+
+
 def _planes(vertices: np.ndarray) -> np.ndarray:
     """A float32 copy (T, 3, V): arithmetic on rows of three is slow."""
     return np.array(vertices.transpose(0, 2, 1), np.float32, order="C")
@@ -141,7 +150,7 @@ def _encode_float16(vertices: np.ndarray) -> list[Part]:
     planes = _planes(vertices)
     centre = 0.5 * (planes.min(axis=2) + planes.max(axis=2))
     planes -= centre[:, :, None]
-    return _raw(centre, "<f4") + _raw(planes.transpose(0, 2, 1), "<f2")
+    return _raw(centre, "<f4") + _halves(planes.transpose(0, 2, 1))
 
 
 def _decode_float16(reader: _Reader, frames: int, count: int) -> np.ndarray:

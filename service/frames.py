@@ -22,8 +22,8 @@ from service.json_bodies import validated
 from service.protocol import FramesRequest, FramesResponse
 from service.settings import Settings
 from service.settling import run_settling
+from service.states import require_states, split_states
 
-MAX_STATE: Final = 1e6
 FPS_RANGE: Final = (1.0, 1000.0)
 SKELETONS: Final = {
     21: "SMPL-X's body joints without the root",
@@ -89,8 +89,8 @@ def _joined_state(states: Mapping[str, list[float]], engines: list[GarmentEngine
     return np.concatenate([states[engine.name] for engine in engines])
 
 
-def require_valid(request: FramesRequest, settings: Settings, fps: float, state_size: int) -> None:
-    """Raise Problem unless a network at ``fps`` with states of ``state_size`` floats in all can answer the request."""
+def require_valid(request: FramesRequest, settings: Settings, fps: float, engines: Sequence[GarmentEngine]) -> None:
+    """Raise Problem unless ``engines`` at ``fps`` can answer the request."""
     frames, joints = request.poses.shape[:2]
     if joints != JOINT_COUNT or request.poses.shape[2] != 3:
         guess = f" (that is {SKELETONS[joints]})" if joints in SKELETONS else ""
@@ -113,10 +113,7 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, state_
             f"at most {settings.max_frames} frames are sent or answered at once, got {frames} at {request.fps:g} fps, "
             f"which are {answered} at {fps:g}; {first}send the motion in parts and pass each answer's state on",
         )
-    if request.state.size not in (0, state_size):
-        raise Problem(
-            422, f"state: must hold {state_size} floats for these garments, or none, got {request.state.size}"
-        )
+    require_states(request.state, engines)
     if request.state.size and request.fps != fps:
         raise Problem(
             422, f"a motion is continued at {fps:g} fps only, got {request.fps:g}; resample the whole of it first"
@@ -133,10 +130,9 @@ def answered_frames(request: FramesRequest, fps: float) -> int:
 
 
 def require_bounded(request: FramesRequest) -> None:
-    """Raise Problem naming frame and joint where an angle, a translation or a state is not finite or absurd."""
+    """Raise Problem naming frame and joint where an angle or a translation is not finite or absurd."""
     with np.errstate(all="ignore"):  # signalling NaN, infinity
-        small = _is_small(request.poses, MAX_ANGLE / 2) and _is_small(request.transl, MAX_DISTANCE)
-        if small and not request.state.size:
+        if _is_small(request.poses, MAX_ANGLE / 2) and _is_small(request.transl, MAX_DISTANCE):
             return  # nearly always: then nothing need be looked at one by one
         angle = np.linalg.norm(request.poses, axis=-1)
     bad = np.argwhere(~(angle <= MAX_ANGLE))
@@ -155,8 +151,6 @@ def require_bounded(request: FramesRequest) -> None:
             f"transl: must be finite and within {MAX_DISTANCE:g} m of the origin, got "
             f"{request.transl[frame, axis]:g} at frame {frame}; are they millimetres?",
         )
-    if not (np.abs(request.state) <= MAX_STATE).all():
-        raise Problem(422, f"state: must be finite and within {MAX_STATE:g}; pass on what the last answer held")
 
 
 def _is_small(array: np.ndarray, most: float) -> bool:
@@ -200,14 +194,8 @@ def answer(
         resampled = PoseSequence(poses=poses, transl=transl, fps=request.fps, source="request").resample(fps)
         poses, transl = resampled.poses, resampled.transl
     poses, transl = (np.ascontiguousarray(array, np.float32) for array in (poses, transl))
-    states, offset = {}, 0
-    for engine in engines:
-        states[engine.name] = engine.initial_state()
-        if request.state.size:
-            states[engine.name] = np.array(request.state[offset : offset + engine.state_size], np.float32)
-        offset += engine.state_size
     settle, report = ((), None) if conditions is None else (conditions.settle, conditions.report)
-    meshes, states = dress(engines, poses, transl, states, wanted, pelvis, settle)
+    meshes, states = dress(engines, poses, transl, split_states(engines, request.state), wanted, pelvis, settle)
     fields = meshes.normals, meshes.weights, meshes.joints
     return FramesResponse(meshes.vertices, states, fps, request.fps, wanted.encoding, *fields, report)
 

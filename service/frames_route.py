@@ -92,7 +92,7 @@ async def post_frames(
             else:
                 parsed = protocol.decode_request(body)
             require_conditionable(parsed, asked, settings.max_frames)
-            frames.require_valid(parsed, settings, found.bundle.fps, sum(engine.state_size for engine in engines))
+            frames.require_valid(parsed, settings, found.bundle.fps, engines)
             count = frames.answered_frames(parsed, found.bundle.fps)
             if wanted == JSON_MEDIA_TYPE:
                 require_few_frames(count, settings)

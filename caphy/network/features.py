@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from caphy.conventions import JOINT_PARENTS
+from caphy.conventions import JOINT_PARENTS, MOTION_STATE
 from caphy.rotations import sixd_from_matrix
 
 VELOCITY_UNIT: Final = 1.0
@@ -20,10 +20,6 @@ ANGULAR_UNIT: Final = 3.0
 """Root turning speed that becomes one [rad/s]."""
 LIMIT: Final = 5.0
 """Scaled velocities are cut here, so that a jump of the tracker cannot throw the network out of what it knows."""
-
-MOTION_STATE: Final = 16
-"""Length of the motion's part of a stream's state: root translation (3), velocity (3), rotation (9, row-major) and
-the number of frames seen, 0, 1 or 2."""
 
 
 def driving_joints(weights: np.ndarray, parents: Sequence[int] = JOINT_PARENTS, least: float = 0.05) -> list[int]:
@@ -61,7 +57,7 @@ def pose_features(
     Args:
         rotations: relative rotations of the joints, (T, 55, 3, 3).
         transl: root translation [m], (T, 3), y up.
-        state: state before the first frame, (16,), see :data:`MOTION_STATE`.
+        state: state before the first frame, (16,), see :data:`caphy.conventions.MOTION_STATE`.
         joints: see :func:`driving_joints`.
         fps: frames per second [Hz].
     """

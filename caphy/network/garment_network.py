@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from caphy.body.kinematics import joint_transforms
 from caphy.body.skinning import blend_transforms, skin
-from caphy.conventions import JOINT_PARENTS
-from caphy.network.features import MOTION_STATE, driving_joints, feature_count, pose_features
+from caphy.conventions import JOINT_PARENTS, MOTION_STATE
+from caphy.network.features import driving_joints, feature_count, pose_features
 from caphy.rotations import matrix_from_axis_angle
 
 LAYERS = 4
@@ -24,7 +24,7 @@ class GarmentNetwork(nn.Module):
     The last layer is linear, so canonical offsets are blend shapes whose weights are the GRU's output.
 
     The state of a stream is one vector of :attr:`state_size` = layers * width + 16 numbers: the GRU's hidden state,
-    layer by layer, then the motion's (:data:`caphy.network.features.MOTION_STATE`: previous root translation [m],
+    layer by layer, then the motion's (:data:`caphy.conventions.MOTION_STATE`: previous root translation [m],
     velocity [m/s], rotation row-major, number of frames seen). All zeros before the first frame.
 
     Args:

@@ -102,7 +102,7 @@ async def infer(request: Request, model: ModelName, version: ModelVersion | None
             wanted = asked.wanted(OUTPUTS)
             parsed = found.request(asked, tensors)
             fps = found.avatar.bundle.fps
-            frames.require_valid(parsed, settings, fps, found.engine.state_size)
+            frames.require_valid(parsed, settings, fps, [found.engine])
             count = frames.answered_frames(parsed, fps)
             as_text = not wanted.get("vertices", True)
             if as_text:

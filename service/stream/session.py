@@ -21,10 +21,10 @@ from service import frames
 from service.avatars import Avatar
 from service.conditioned import body_of, parse_settings
 from service.encodings import Encoding, Meshes
-from service.engine import GarmentEngine
 from service.errors import Problem
 from service.frames import FPS_RANGE, Wanted
 from service.protocol import FramesRequest
+from service.states import require_states, split_states
 from service.stream.clock import CausalClock
 from service.stream.conditioned import ConditionedClock, Conditions
 from service.stream.limits import StreamLimits
@@ -237,11 +237,7 @@ class Session:
         self._credits = min(self._credits + count, self.limits.max_credits)
 
     def _first_states(self, given: np.ndarray) -> dict[str, np.ndarray]:
-        size = sum(engine.state_size for engine in self.engines)
-        if given.size not in (0, size):
-            raise Problem(422, f"state: must hold {size} floats for these garments, or none, got {given.size}")
-        if not (np.abs(given) <= frames.MAX_STATE).all():
-            raise Problem(422, "state: must be finite; pass on what the service answered")
+        require_states(given, self.engines)
         return split_states(self.engines, given)
 
     def _forget_before_reset(self) -> None:
@@ -304,14 +300,6 @@ class Session:
             raise TypeError("the first in the queue must be poses")
         self._forget(item)
         return item
-
-
-def split_states(engines: list[GarmentEngine], joined: np.ndarray) -> dict[str, np.ndarray]:
-    """The state (S,) of each engine's garment from all of them one after another, or the first states from none."""
-    if not joined.size:
-        return {engine.name: engine.initial_state() for engine in engines}
-    ends = np.cumsum([engine.state_size for engine in engines])[:-1]
-    return {e.name: part.astype(np.float32) for e, part in zip(engines, np.split(joined, ends), strict=True)}
 
 
 def _checked_rate(fps: float) -> float:

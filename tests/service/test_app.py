@@ -122,6 +122,15 @@ def test_state_continues_a_motion(http, motion, cut):
         assert np.abs(cold.vertices[name][0] - vertices[cut]).max() > 1e-4  # the state matters
 
 
+def test_states_of_leaps_through_all_there_is_are_taken_back(http, motion):
+    poses = np.random.default_rng(0).uniform(-2, 2, (60, 55, 3))
+    transl = np.where(np.arange(60)[:, None] % 2, 999.0, -999.0) * np.ones(3)
+    first = http.post(FRAMES, content=body_of(motion, poses=poses, transl=transl), headers=BINARY)
+    state = np.concatenate(list(decode_response(first.content).states.values()))
+    assert np.abs(state).max() > 5e4
+    assert http.post(FRAMES, content=body_of(motion, state=state), headers=BINARY).status_code == 200
+
+
 def test_state_continues_a_motion_in_json(http, motion):
     def post(part, **extra):
         asked = {"fps": 30, "poses": part.poses.tolist(), "transl": part.transl.tolist(), **extra}
@@ -187,8 +196,14 @@ def test_bad_frame_rates(http, motion, fps):
 def test_bad_states(http, motion, bundle):
     size = sum(garment.state_size for garment in bundle.garments)
     refused(http.post(FRAMES, content=body_of(motion, state=np.zeros(5)), headers=BINARY), 422, "state", str(size))
-    for value in (np.nan, 1e30):
-        refused(http.post(FRAMES, content=body_of(motion, state=np.full(size, value)), headers=BINARY), 422, "state")
+    for value in (np.nan, 1e30, 1e3, -2):
+        state = np.full(size, value)
+        refused(http.post(FRAMES, content=body_of(motion, state=state), headers=BINARY), 422, "tshirt", "within 1.001")
+    first = bundle.garments[0].state_size
+    for place, word in ((first - 1, "tshirt's motion"), (size - 1, "trousers's motion"), (size - 17, "memory")):
+        state = np.zeros(size)
+        state[place] = 1e8
+        refused(http.post(FRAMES, content=body_of(motion, state=state), headers=BINARY), 422, word)
     refused(http.post(FRAMES, content=body_of(motion, fps=60, state=np.zeros(size)), headers=BINARY), 422, "30 fps")
     asked = {"fps": 30, "poses": motion.poses.tolist(), "state": {"tshirt": [0.0]}}
     refused(http.post(FRAMES, json=asked), 422, "state", "trousers")

@@ -82,6 +82,17 @@ def test_packed_answers_are_half_the_size(default, engines, walk, plain):
         assert len(b"".join(encode_response(answered(default, engines, walk, encoding)))) < 0.51 * size
 
 
+@pytest.mark.parametrize("value", [1e5, -1e5, np.nan])
+def test_what_half_floats_cannot_hold_is_no_infinity(value):
+    joints = JointMotion(np.zeros((1, 3)), np.zeros((1, 55, 4)))
+    for meshes, encoding in (
+        (Meshes(1, weights={"tshirt": np.array([[0.5, value]], "f4")}, joints=joints), Encoding.WEIGHTS),
+        (Meshes(1, {"tshirt": np.array([[[0, 0, 0], [0, 2 * value, 0]]], "f4")}), Encoding.FLOAT16),
+    ):
+        with pytest.raises(Problem, match="half floats"):
+            encode_meshes(meshes, encoding)
+
+
 def test_weights_and_joints_make_the_vertices(default, engines, walk, plain):
     """Blend shapes from the graph, skinned by the joints that a GLB's skeleton takes: glTF's formula in float64."""
     response = answered(default, engines, walk, "weights")

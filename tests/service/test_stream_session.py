@@ -310,6 +310,8 @@ def test_states_that_are_not_finite(avatar):
     size = sum(engine.state_size for engine in avatar.engines.values())
     with pytest.raises(CaphyError, match="finite"):
         Client(avatar, state=np.full(size, np.nan))
+    with pytest.raises(CaphyError, match=r"within 1.001, got 1e\+07"):
+        Client(avatar, state=np.full(size, 1e7))
 
 
 def test_poses_that_cannot_be_used_leave_the_stream_as_it_was(avatar, motion, whole):
