@@ -10,6 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from caphy.conditioning import Body, Conditioner, Conditioning, Did, Frame, condition
+from caphy.conditioning.conditioner import CLOSE, LATEST, LONGEST
+from caphy.conditioning.seen import ROUNDING
+from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle
 from service.errors import Problem
@@ -41,8 +44,10 @@ def parse_settings(text: str, fps: float) -> Conditioning | None:
     """
     if text in ("", OFF):
         return None
+    if len(text) > MOST_SETTINGS:
+        raise Problem(422, f"condition: settings may have {MOST_SETTINGS} characters, got {len(text)}")
     try:
-        given = {} if text == "on" else json.loads(text[:MOST_SETTINGS])
+        given = {} if text == "on" else json.loads(text)
         if isinstance(given, dict) and "fps" in given:
             raise CaphyError(f"conditioning: fps is the avatar's, {fps:g}; leave it out")
         return Conditioning.of({**given, "fps": fps} if isinstance(given, dict) else given)
@@ -57,8 +62,8 @@ def body_of(bundle: AvatarBundle) -> Body:
     return Body(bundle.joints, float(bundle.body.vertices[:, 1].min()))
 
 
-def require_conditionable(request: FramesRequest, settings: Conditioning | None, most: int) -> None:
-    """Raise Problem where times or confidences are not for this request, or would make more than ``most`` frames."""
+def require_conditionable(request: FramesRequest, settings: Conditioning | None) -> None:
+    """Raise Problem where times or confidences are not for this request, or are none."""
     if settings is None:
         if request.times is not None or request.confidence is not None:
             raise Problem(422, "times and confidence are for conditioned motions; ask for it with ?condition=on")
@@ -67,17 +72,33 @@ def require_conditionable(request: FramesRequest, settings: Conditioning | None,
         raise Problem(
             422, "a conditioned motion cannot be continued: the filter's memory is not in the state; use the stream"
         )
-    frames = len(request.poses)
-    if request.times is not None:
-        if request.times.shape != (frames,) or not np.isfinite(request.times).all():
-            raise Problem(422, f"times: must be {frames} finite numbers [s], one for each pose")
-        if (float(np.ptp(request.times)) if frames else 0.0) * settings.fps + 1 > most:
-            raise Problem(413, f"times: at most {most} frames at {settings.fps:g} fps are answered at once; send less")
-    if request.confidence is not None and request.confidence.shape not in (
-        (frames,),
-        (frames, request.poses.shape[1]),
-    ):
-        raise Problem(422, f"confidence: must have shape ({frames},) or ({frames}, 55), got {request.confidence.shape}")
+    frames, joints = request.poses.shape[:2]
+    if request.times is not None and (request.times.shape != (frames,) or not np.isfinite(request.times).all()):
+        raise Problem(422, f"times: must be {frames} finite numbers [s], one for each pose")
+    if request.confidence is not None:
+        if request.confidence.shape not in ((frames,), (frames, joints)):
+            raise Problem(
+                422, f"confidence: must have shape ({frames},) or ({frames}, 55), got {request.confidence.shape}"
+            )
+        _require_shares(request.confidence)
+
+
+def _require_shares(confidence: np.ndarray) -> None:
+    bad = np.argwhere(~((confidence >= -ROUNDING) & (confidence <= 1 + ROUNDING)))
+    if len(bad):
+        frame, *joint = bad[0].tolist()
+        where = "".join(f", joint {j} ({JOINT_NAMES[j]})" for j in joint if j < JOINT_COUNT)
+        got = confidence[tuple(bad[0])]
+        raise Problem(
+            422, f"confidence: must lie between 0, not seen, and 1, sure, got {got:g} at frame {frame}{where}"
+        )
+
+
+def frames_of(times: np.ndarray, fps: float) -> int:
+    """How many frames at ``fps`` time stamps (T,) [s] make at most; those that do not rise, and silences, make none."""
+    steps = np.diff(np.maximum.accumulate(times[np.abs(times) <= LATEST]))
+    silences = steps > LONGEST
+    return int(float(steps[~silences].sum()) * fps + CLOSE) + 1 + int(silences.sum())
 
 
 def conditioned(request: FramesRequest, settings: Conditioning, body: Body) -> Conditioned:

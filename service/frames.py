@@ -14,7 +14,7 @@ from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.io.poses import PoseSequence
 from caphy.io.poses.sequence import MAX_ANGLE, MAX_DISTANCE
 from caphy.rotations import quaternion_from_axis_angle
-from service.conditioned import Conditioned
+from service.conditioned import Conditioned, frames_of
 from service.encodings import LABELS, Encoding, JointMotion, Meshes
 from service.engine import GarmentEngine
 from service.errors import Problem
@@ -107,11 +107,16 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, engine
         raise Problem(422, "poses: there must be at least one frame")
     answered = answered_frames(request, fps)
     if max(frames, answered) > settings.max_frames:
-        first = "" if request.fps == fps else f"resample it to {fps:g} fps, and if that is still too long "
+        first = (
+            ""
+            if request.fps == fps or request.times is not None
+            else f"resample it to {fps:g} fps, and if that is still too long "
+        )
         raise Problem(
             413,
             f"at most {settings.max_frames} frames are sent or answered at once, got {frames} at {request.fps:g} fps, "
-            f"which are {answered} at {fps:g}; {first}send the motion in parts and pass each answer's state on",
+            f"which are {answered} at {fps:g}; {first}send the motion in parts and "
+            "pass each answer's state on, or, where it is conditioned, use the stream",
         )
     require_states(request.state, engines)
     if request.state.size and request.fps != fps:
@@ -125,7 +130,7 @@ def answered_frames(request: FramesRequest, fps: float) -> int:
     """How many frames at ``fps`` answer the request, at most where it is conditioned."""
     frames = len(request.poses)
     if request.times is not None:
-        return int(float(np.ptp(request.times)) * fps + 1e-6) + 1
+        return frames_of(request.times, fps)
     return frames if request.fps == fps else int((frames - 1) / request.fps * fps + 1e-6) + 1
 
 

@@ -91,7 +91,7 @@ async def post_frames(
                 parsed = frames.parse_json(body, engines, settings.max_frames)
             else:
                 parsed = protocol.decode_request(body)
-            require_conditionable(parsed, asked, settings.max_frames)
+            require_conditionable(parsed, asked)
             frames.require_valid(parsed, settings, found.bundle.fps, engines)
             count = frames.answered_frames(parsed, found.bundle.fps)
             if wanted == JSON_MEDIA_TYPE:

@@ -40,6 +40,8 @@ SOON: Final = 0.1
 """A joint that was seen so long ago and is strange now has jumped [s]."""
 BRIDGE: Final = 0.25
 """Over longer gaps nothing is interpolated: what was before tells nothing of what comes after [s]."""
+LONGEST: Final = 10.0
+"""A longer step of the time stamps is a silence, which is left out [s]: nobody waits for frames of a body at rest."""
 RELATIVE: Final = np.arange(JOINT_COUNT) > 0
 
 
@@ -50,9 +52,11 @@ class Conditioner:
     has gone on by ``settings.latency``. The same poses give the same frames, however they are cut into calls.
     """
 
-    def __init__(self, settings: Conditioning | None = None, body: Body | None = None, longest: float = 10.0) -> None:
+    def __init__(
+        self, settings: Conditioning | None = None, body: Body | None = None, longest: float = LONGEST
+    ) -> None:
         """``body``: the avatar's, the bundled one where none is given. ``longest``: a step of the time stamps beyond
-        it is left out [s]: nobody waits for frames of a body at rest."""
+        it is left out [s]."""
         self.settings = settings or Conditioning()
         self.summary = Summary()
         self.body = body or bundled_body()
@@ -81,13 +85,12 @@ class Conditioner:
         if not abs(time) <= LATEST or time < self._time + LEAST_STEP:
             self._refuse(f"its time stamp {time:g} s does not come after {self._time:g} s", "time stamp")
             return []
-        self._skip(float(time))
+        frames = self._skip(float(time))
         self._time = float(time)
-        frames: list[Frame] = []
         if poses is None or not trust.any():
             self._refuse("nobody was seen", "nobody", Did.NOTHING)
         else:
-            frames = self._take(exponential(poses), transl, trust, None if camera is None else camera_rotation(camera))
+            frames += self._take(exponential(poses), transl, trust, None if camera is None else camera_rotation(camera))
         return frames + self._frames(self._time - self.settings.latency)
 
     def flush(self) -> list[Frame]:
@@ -122,13 +125,17 @@ class Conditioner:
         upright = self._upright.as_json() if self.settings.frame == "camera" else {}
         return {**upright, **self._ground.as_json()}
 
-    def _skip(self, time: float) -> None:
-        """Let the frames' clock begin anew after a step of the poses' clock that is too long."""
-        if self._first is not None and time - self._time > self._longest:
-            self._first, self._count = time, 0
-            self._was_held[:] = True
-            self._rested = self._was_unplaced = True
-            self._notes.append(f"time went on by {time - self._time:.1f} s at once; frames between are left out")
+    def _skip(self, time: float) -> list[Frame]:
+        """Let the frames' clock begin anew after a step of the poses' clock that is too long; returns the frames before
+        it, which need not wait."""
+        if self._first is None or time - self._time <= self._longest:
+            return []
+        frames = self.flush()
+        self._first, self._count = time, 0
+        self._was_held[:] = True
+        self._rested = self._was_unplaced = True
+        self._notes.append(f"time went on by {time - self._time:.1f} s at once; frames between are left out")
+        return frames
 
     def _refuse(self, why: str, kind: str, did: Did = Did.REJECTED) -> None:
         self.summary.refused[kind] += 1

@@ -6,13 +6,14 @@ from typing import Final
 
 import numpy as np
 
-from caphy.conventions import JOINT_COUNT
+from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.errors import CaphyError
 from caphy.rotations import quaternion_from_matrix
 
 LEAST_TRUST: Final = 0.05
 """Confidence below which a joint counts as not seen."""
-_ROUNDING: Final = 1e-3
+ROUNDING: Final = 1e-3
+"""By which confidences may lie beyond 0 and 1."""
 
 
 def checked(
@@ -30,10 +31,11 @@ def checked(
     trust = np.ones(JOINT_COUNT) if confidence is None else np.array(confidence, np.float64)
     if trust.shape not in ((), (JOINT_COUNT,)):
         raise CaphyError(f"confidence must be one number or ({JOINT_COUNT},), got shape {trust.shape}")
+    bad = np.flatnonzero((trust < -ROUNDING) | (trust > 1 + ROUNDING))
+    if len(bad):
+        where = f" at joint {bad[0]} ({JOINT_NAMES[bad[0]]})" if trust.ndim else ""
+        raise CaphyError(f"confidence must lie between 0, not seen, and 1, sure, got {trust.flat[bad[0]]:g}{where}")
     trust = np.nan_to_num(trust, nan=0.0)
-    if trust.min() < -_ROUNDING or trust.max() > 1 + _ROUNDING:
-        got = trust.max() if trust.max() > 1 + _ROUNDING else trust.min()
-        raise CaphyError(f"confidence must lie between 0, not seen, and 1, sure, got {got:g}")
     trust = np.broadcast_to(np.clip(trust, 0, 1), JOINT_COUNT)
     bad = ~np.isfinite(poses).all(axis=1)
     poses[bad] = 0.0

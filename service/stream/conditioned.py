@@ -88,8 +88,11 @@ class ConditionedClock:
         self._require_short(np.diff(rising))
         trust = [None] * len(poses) if confidence is None else confidence
         seen = list(zip(poses, transl, trust, strict=True))
-        for pose in seen:  # of all before any is taken: what is refused must leave the stream as it was
-            checked(*pose)
+        for i, pose in enumerate(seen):  # of all before any is taken: what is refused must leave the stream as it was
+            try:
+                checked(*pose)
+            except CaphyError as error:
+                raise CaphyError(f"pose {number + i}: {error}") from error
         frames: list[Frame] = []
         for time, pose in zip(times, seen, strict=True):
             frames += self._conditioner.push(float(time), *pose)
@@ -99,9 +102,16 @@ class ConditionedClock:
     def _require_short(self, steps: np.ndarray) -> None:
         """Refuse the steps (T,) [s] that time goes on by in a message where that makes too many frames.
 
-        Time stamps that do not rise and silences that are left out make none, as the conditioner has it.
+        Time stamps that do not rise and silences that are left out make none, as the conditioner has it; before a
+        silence come those that had waited.
         """
-        span = float(steps[steps <= self._silence].sum())
+        waits = latency = self._conditioner.settings.latency
+        span = 0.0
+        for step in steps.tolist():
+            if step > self._silence:
+                span, waits = span + waits, 0.0
+            else:
+                span, waits = span + max(0.0, waits + step - latency), min(latency, waits + step)
         if span * self._conditioner.settings.fps > self._longest + CLOSE:
             raise CaphyError(
                 f"times of one message, from the pose before it on, may span {self._longest} frames of the avatar's, "

@@ -196,6 +196,8 @@ def test_what_is_no_number_is_refused_and_said(walking):
         ((0.0, np.zeros((54, 3))), r"\(55, 3\)"),
         ((0.0, np.zeros((55, 3)), np.zeros(2)), "transl"),
         ((0.0, np.zeros((55, 3)), None, np.ones(3)), "confidence"),
+        ((0.0, np.zeros((55, 3)), None, 2.0), "confidence must lie between 0, not seen, and 1, sure, got 2$"),
+        ((0.0, np.zeros((55, 3)), None, np.where(np.arange(55) == 18, np.inf, 1)), r"got inf at joint 18 \(left_elbow"),
         ((0.0, np.zeros((55, 3)), None, None, np.ones((3, 3))), "rotation"),
     ],
 )

@@ -151,3 +151,12 @@ def test_a_leap_of_the_clock_is_left_out():
     assert any("time went on by 1000" in note for f in frames for note in f.notes)
     turned, _ = steps(frames)
     assert turned.max() < 1
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.06, 0.5, 1.0])
+def test_what_was_seen_just_before_a_leap_comes_out(latency):
+    times = np.r_[np.arange(30), np.arange(30) + 400] / RATE
+    frames = condition(
+        Conditioner(Conditioning(latency=latency)), times, np.repeat(crouching()[None], 60, 0), np.zeros((60, 3))
+    )
+    assert [f.time for f in frames] == pytest.approx(times)

@@ -142,7 +142,10 @@ def test_off_unless_asked_for_and_said(http, motion):
         ("?condition=on", {"times": [0, 1]}, "one for each pose"),
         ("?condition=on", {"confidence": [1, 1]}, "confidence: must have shape"),
         ("?condition=on", {"confidence": [0, 0, 0, 0]}, "nobody was seen"),
-        ("?condition=on", {"times": [0, 1, 2, 1e9]}, "at most"),
+        ("?condition=on", {"times": [0, 9, 18, 27]}, "at most"),
+        ("?condition=on", {"confidence": [1, 1, 1.5, 1]}, "got 1.5 at frame 2"),
+        ("?condition=on", {"confidence": [[1] * 55, [1] * 18 + [-1] * 37] * 2}, "frame 1, joint 18 (left_elbow)"),
+        ("?condition={}" + 1999 * " ", {}, "may have 2000 characters, got 2001"),
     ],
 )
 def test_what_cannot_be_conditioned_is_refused_in_words(http, motion, query, extra, words):
@@ -150,6 +153,44 @@ def test_what_cannot_be_conditioned_is_refused_in_words(http, motion, query, ext
     answer = http.post(f"/avatars/shell/frames{query}", json=asked)
     assert answer.status_code in (413, 422)
     assert words in answer.json()["detail"]
+
+
+def conditioned_request(http, poses, transl, times=None, confidence=None, settings="on"):
+    return http.post(
+        f"/avatars/shell/frames?condition={settings}&garment=tshirt",
+        content=encode_request(FramesRequest(poses, transl, 30.0, np.zeros(0), times, confidence)),
+        headers={"content-type": "application/octet-stream"},
+    )
+
+
+@pytest.mark.parametrize("leap", [95.0, 1.7e9])
+def test_silences_make_no_frames(http, motion, leap):
+    times = np.r_[np.arange(15), np.arange(15) + 30 * leap] / 30
+    answer = conditioned_request(http, motion.poses, motion.transl, times, settings='{"latency":0.5}')
+    assert answer.status_code == 200, answer.text
+    assert json.loads(answer.headers["caphy-conditioning"])["emitted"] == 30
+
+
+@pytest.mark.filterwarnings("error")
+def test_times_beyond_any_clock_are_refused_without_a_warning(http, motion):
+    times = np.r_[-1e308, np.arange(28) / 30, 1e308]
+    answer = conditioned_request(http, motion.poses, motion.transl, times)
+    assert json.loads(answer.headers["caphy-conditioning"])["refused"] == {"time stamp": 2}
+
+
+@pytest.mark.parametrize(("value", "word"), [(np.inf, "got inf"), (np.nan, "got nan"), (-np.inf, "got -inf")])
+def test_confidences_that_are_none_name_frame_and_joint(http, motion, value, word):
+    confidence = np.ones((30, 55))
+    confidence[7, 18] = value
+    answer = conditioned_request(http, motion.poses, motion.transl, confidence=confidence)
+    assert answer.status_code == 422
+    assert f"{word} at frame 7, joint 18 (left_elbow)" in answer.json()["detail"]
+
+
+def test_a_conditioned_motion_that_is_too_long_is_told_of_the_stream(http):
+    answer = conditioned_request(http, np.zeros((1801, 55, 3)), np.zeros((1801, 3)))
+    assert answer.status_code == 413
+    assert "where it is conditioned, use the stream" in answer.json()["detail"]
 
 
 class Stream:
@@ -269,6 +310,16 @@ def test_times_that_make_too_many_frames_are_refused_whatever_their_order(bundle
     assert 28 <= sum(answer.meshes.frames for answer in later) <= 32
 
 
+def test_what_waits_before_a_silence_counts_among_the_frames_of_a_message(bundle, motion):
+    poses, transl = np.repeat(motion.poses[:1], 32, 0).astype("f4"), np.repeat(motion.transl[:1], 32, 0).astype("f4")
+    stream, sure = Stream(bundle, '{"latency":0.5}'), np.ones((32, 55), np.float32)
+    stream.run(Seen(1, 0.0, poses, transl, np.arange(32) / 30, sure))
+    with pytest.raises(CaphyError, match="may span 32 frames"):
+        stream.run(Seen(33, 0.0, poses, transl, np.r_[np.arange(32, 63), 200] / 30, sure))
+    (answer,) = stream.run(Seen(33, 0.0, poses, transl, np.arange(200, 232) / 30, sure))
+    assert answer.meshes.frames == 32
+
+
 def test_a_stamp_that_does_not_rise_leaves_the_others_their_message(bundle, motion):
     poses, transl = motion.poses[:4].astype("f4"), motion.transl[:4].astype("f4")
     stream, sure = Stream(bundle), np.ones((4, 55), np.float32)
@@ -287,7 +338,7 @@ def test_a_message_that_is_refused_leaves_the_stream_as_it_was(bundle, motion):
     stream, other = Stream(bundle), Stream(bundle)
     first = Seen(1, 0.0, poses[:4], transl[:4], times[:4], sure[:4])
     stream.run(first), other.run(first)
-    with pytest.raises(CaphyError, match="between 0"):
+    with pytest.raises(CaphyError, match=r"pose 6: .*between 0.* got 5 at joint 0 \(pelvis\)"):
         stream.run(Seen(5, 0.0, poses[4:], transl[4:], times[4:], wrong[4:]))
     again = Seen(5, 0.0, poses[4:], transl[4:], times[4:], sure[4:])
     (found,), (expected,) = stream.run(again), other.run(again)
