@@ -12,6 +12,7 @@ from fastapi.middleware.cors import CORSMiddleware
 import caphy
 from service import problem
 from service.avatar_routes import add_avatars
+from service.endpoints_page import add_endpoints_page
 from service.frames_route import add_frames
 from service.guard import Guard, Guarded
 from service.health import add_health
@@ -42,17 +43,19 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         if not library.avatars:
             await anyio.to_thread.run_sync(library.load)
         async with anyio.create_task_group() as tasks:
+            tasks.start_soon(metrics.watch_memory)
             if settings.reload_seconds:
                 tasks.start_soon(library.watch, settings.reload_seconds)
             yield
             tasks.cancel_scope.cancel()
 
-    app = FastAPI(title="caphy", version=caphy.__version__, lifespan=lifespan)
+    app = FastAPI(title="caphy", version=caphy.__version__, lifespan=lifespan, docs_url=None, redoc_url=None)
     app.state.settings = settings
     app.state.library = library
     app.state.metrics = metrics
     app.state.guard = Guard(settings, metrics)
     problem.install(app)
+    add_endpoints_page(app)
     add_health(app)
     add_avatars(app)
     add_frames(app)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -92,7 +93,7 @@ def bundle_places(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise CaphyError(f"{folder}: is no folder of avatars; give one with --avatars or CAPHY_AVATARS")
     if (folder / MANIFEST).is_file():
-        return [folder.resolve()]
+        return [Path(os.path.abspath(folder))]  # "." has a name then, and a link keeps its own
     places = sorted(path.parent for path in folder.glob(f"*/{MANIFEST}") if not path.parent.name.startswith("."))
     if not places:
         raise CaphyError(f"{folder}: holds no avatar bundle; write one there with 'caphy export'")

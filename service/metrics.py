@@ -14,6 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Final
 
+import anyio
 from fastapi import FastAPI, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.multiprocess import MultiProcessCollector
@@ -21,6 +22,7 @@ from prometheus_client.multiprocess import MultiProcessCollector
 MILLISECONDS: Final = (0.1, 0.25, 0.5, 1, 2, 3, 5, 7.5, 10, 15, 20, 33, 50, 100, 250, 500, 1000, 2500, 5000)
 """Upper bounds of the histograms' buckets; 33 ms is a frame at 30 fps."""
 BUCKETS: Final = tuple(milliseconds / 1e3 for milliseconds in MILLISECONDS)
+MEMORY_SECONDS: Final = 2.0
 SHARED_FOLDER: Final = "PROMETHEUS_MULTIPROC_DIR"
 
 
@@ -51,9 +53,14 @@ class Metrics:
     def _gauge(self, name: str, text: str, *labels: str) -> Gauge:
         return Gauge(name, text, labels, registry=self.registry, multiprocess_mode="livesum")
 
+    async def watch_memory(self) -> None:
+        """Note the memory of this process every so often, for ever: another worker may be the one that is asked."""
+        while True:
+            self.resident_bytes.set(resident_bytes())
+            await anyio.sleep(MEMORY_SECONDS)
+
     def exposition(self) -> bytes:
         """All numbers in Prometheus' text format, of all workers where there are several."""
-        self.resident_bytes.set(resident_bytes())
         if SHARED_FOLDER not in os.environ:
             return generate_latest(self.registry)
         shared = CollectorRegistry()

@@ -36,6 +36,7 @@ class Server(uvicorn.Server):
 def make_server(app: FastAPI, settings: Settings) -> Server:
     """The server of ``app``; run it on a socket of :func:`service.connections.listen`."""
     _allow_open_files(settings.max_connections)
+    logging.captureWarnings(True)  # NumPy's too are lines of the log
     config = uvicorn.Config(
         app,
         http=guarded_protocol(settings),

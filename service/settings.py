@@ -13,6 +13,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 import caphy
 from caphy.errors import CaphyError
 
+DAY = 86_400
+"""Longest time of any limit [s]."""
 BUNDLED_AVATARS = Path(caphy.__file__).parent / "data" / "avatars"
 
 
@@ -29,24 +31,36 @@ class Settings(BaseSettings):
     allow_anonymous: bool = Field(False, description="answer without a key on addresses beyond this machine")
     origins: str = Field("", description="web pages that may ask, as https://example.org, comma-separated; * for all")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level that is logged")
-    reload_seconds: float = Field(2.0, ge=0, description="how often to look for new avatar bundles [s]; 0 is never")
-    drain_seconds: int = Field(30, ge=0, description="how long to finish what is in flight when told to stop [s]")
+    reload_seconds: float = Field(
+        2.0, ge=0, le=DAY, description="how often to look for new avatar bundles [s]; 0 is never"
+    )
+    drain_seconds: int = Field(
+        30, ge=0, le=DAY, description="how long to finish what is in flight when told to stop [s]"
+    )
 
-    max_frames: int = Field(1800, ge=1, description="most frames of one request, before and after resampling")
-    max_json_frames: int = Field(120, ge=1, description="most frames answered as JSON")
-    max_body_bytes: int = Field(8 << 20, ge=1024, description="most bytes of one request body")
-    max_buffered_bytes: int = Field(512 << 20, ge=1024, description="most bytes of requests and answers held at once")
-    max_connections: int = Field(500, ge=1, description="most connections of one process")
-    max_waiting: int = Field(64, ge=0, description="most requests that wait for a thread; more are told to retry")
-    max_wait_seconds: float = Field(2.0, gt=0, description="longest wait for a thread [s]")
-    max_client_requests: int = Field(32, ge=1, description="most requests of one client that are answered at once")
-    max_client_rate: float = Field(2000.0, gt=0, description="most requests of one client per second")
-    header_seconds: float = Field(10.0, gt=0, description="time to send a request's header [s]")
-    body_seconds: float = Field(20.0, gt=0, description="time to send a request's body [s]")
-    send_seconds: float = Field(60.0, gt=0, description="time to take an answer [s]")
+    max_frames: int = Field(
+        1800, ge=1, le=100_000, description="most frames of one request, before and after resampling"
+    )
+    max_json_frames: int = Field(120, ge=1, le=100_000, description="most frames answered as JSON")
+    max_body_bytes: int = Field(8 << 20, ge=1024, le=1 << 34, description="most bytes of one request body")
+    max_buffered_bytes: int = Field(
+        512 << 20, ge=1024, le=1 << 40, description="most bytes of requests and answers held at once"
+    )
+    max_connections: int = Field(500, ge=1, le=1_000_000, description="most connections of one process")
+    max_waiting: int = Field(
+        64, ge=0, le=100_000, description="most requests that wait for a thread; more are told to retry"
+    )
+    max_wait_seconds: float = Field(2.0, gt=0, le=DAY, description="longest wait for a thread [s]")
+    max_client_requests: int = Field(
+        32, ge=1, le=100_000, description="most requests of one client that are answered at once"
+    )
+    max_client_rate: float = Field(2000.0, gt=0, le=1e9, description="most requests of one client per second")
+    header_seconds: float = Field(10.0, gt=0, le=DAY, description="time to send a request's header [s]")
+    body_seconds: float = Field(20.0, gt=0, le=DAY, description="time to send a request's body [s]")
+    send_seconds: float = Field(60.0, gt=0, le=DAY, description="time to take an answer [s]")
 
-    chunk_frames: int = Field(32, ge=1, description="frames per run of a network: beyond, nothing is gained")
-    threads: int = Field(2, ge=1, description="requests computed at the same time")
+    chunk_frames: int = Field(32, ge=1, le=1024, description="frames per run of a network: beyond, nothing is gained")
+    threads: int = Field(2, ge=1, le=1024, description="requests computed at the same time")
 
     @field_validator("api_key")
     @classmethod

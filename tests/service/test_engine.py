@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -52,9 +53,14 @@ def test_graphs_that_answer_nan_are_refused(bundle):
         GarmentEngine(replace(garment, onnx=model.SerializeToString()))
 
 
-def test_one_bundle_or_a_folder_of_them(avatars):
+def test_one_bundle_or_a_folder_of_them_by_the_name_given(avatars, tmp_path, monkeypatch):
     assert list(load_avatars(avatars, 8)) == ["shell"]
     assert list(load_avatars(avatars / "shell", 8)) == ["shell"]
+    link = tmp_path / "now"
+    link.symlink_to(avatars / "shell")
+    assert list(load_avatars(link, 8)) == ["now"]
+    monkeypatch.chdir(link)
+    assert list(load_avatars(Path(), 8)) == ["shell"]
 
 
 def test_the_service_imports_neither_torch_nor_what_trains():

@@ -7,6 +7,7 @@ import io
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
 
@@ -24,6 +25,7 @@ from service.app import create_app
 from service.keys import RequireKey, Subprotocol
 from service.logs import JsonLines
 from service.settings import Settings, read_settings
+from service.stream.limits import StreamLimits
 
 KEY = "a-key-with-ümlaut"
 OTHER = "the-key-before"
@@ -234,3 +236,47 @@ def test_nothing_is_reported_home(avatars, tmp_path):
     command = [sys.executable, "-c", code, str(avatars)]
     subprocess.run(command, check=True, env={**environment, "HOME": str(tmp_path)})
     assert list(tmp_path.rglob("*")) == []
+
+
+def test_the_page_of_endpoints_lists_all_and_loads_nothing(http):
+    page = http.get("/docs")
+    assert page.headers["content-type"].startswith("text/html")
+    assert page.headers["content-security-policy"].startswith("default-src 'none'")
+    assert not re.search(r"https?://|<script|<link|<img|src=", page.text)
+    for path, operations in http.get("/openapi.json").json()["paths"].items():
+        for method in operations:
+            assert f"<h2>{method.upper()} {path}</h2>" in page.text
+    assert http.get("/redoc").status_code == 404
+
+
+def test_memory_is_noted_though_nobody_asks(avatars):
+    with TestClient(create_app(Settings(avatars=avatars))) as client:
+        client.get("/health")
+        assert client.app.state.metrics.registry.get_sample_value("caphy_resident_bytes") > 1e7
+
+
+@pytest.mark.parametrize("value", ["inf", "1e9", "nan", "0"])
+def test_settings_have_bounds(value, monkeypatch, capsys):
+    for name in ("CAPHY_SEND_SECONDS", "CAPHY_STREAM_SEND_SECONDS"):
+        with monkeypatch.context() as patched:
+            patched.setenv(name, value)
+            assert main(["serve", "--port", "0"]) == 2
+        assert f"{name}: Input should be" in capsys.readouterr().err
+
+
+def test_every_limit_has_a_highest_value():
+    for limits in (Settings, StreamLimits):
+        for name, field in limits.model_fields.items():
+            if field.annotation in (int, float):
+                assert any(hasattr(bound, "le") for bound in field.metadata), name
+
+
+def test_warnings_are_lines_of_the_log():
+    code = (
+        "import warnings; from fastapi import FastAPI; from service.server import make_server; "
+        "from service.settings import Settings; make_server(FastAPI(), Settings()); warnings.warn('overflow')"
+    )
+    found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    line = json.loads(found.stderr)
+    assert (line["level"], line["logger"]) == ("warning", "py.warnings")
+    assert "overflow" in line["message"]
