@@ -11,13 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from typing import Any, Final
-from urllib.parse import quote, urlencode, urlsplit
+from urllib.parse import quote, urlencode
 
 import numpy as np
 
 from caphy.conditioning import as_seen
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
+from service.clients import given
 from service.conditioned import HEADER, OFF
 from service.encodings import EncodingName
 from service.protocol import MEDIA_TYPE, FramesRequest, FramesResponse, decode_response, encode_request
@@ -33,14 +34,13 @@ class Client:
     """
 
     def __init__(self, url: str, timeout: float = 60.0, key: str | None = None) -> None:
-        """``key``: one of the service's keys, where it wants one."""
-        parts = urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise CaphyError(f"a service's address is like http://127.0.0.1:8000, got {url!r}")
+        """``url`` may end in a path, below which the service then is. ``key``: one of the service's keys, where it
+        wants one."""
+        parts = given.address(url, ("http", "https"))
         kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
-        self._connection = kind(parts.hostname, parts.port, timeout=timeout)
-        self._url = url
-        self._headers = {} if key is None else {"x-api-key": key.encode()}
+        self._connection = kind(parts.hostname or "", parts.port, timeout=timeout)
+        self._url, self._root = url.rstrip("/"), parts.path.rstrip("/")
+        self._headers = {name: value.encode() for name, value in given.headers("x-api-key", "", key).items()}
         self._avatars: dict[str, dict[str, Any]] = {}
         self._told = ""
         self.server_timing: dict[str, float] = {}
@@ -59,7 +59,7 @@ class Client:
         return np.array(self._known(avatar)["joints"][0])
 
     def _known(self, avatar: str) -> dict[str, Any]:
-        """As :meth:`describe`, asked for once."""
+        """As :meth:`describe`, asked for once a motion."""
         if avatar not in self._avatars:
             self._avatars[avatar] = self.describe(avatar)
         return self._avatars[avatar]
@@ -69,7 +69,7 @@ class Client:
 
         It is resampled here, and goes in parts where that makes more than :data:`PART` frames.
         """
-        whole, states, parts = sequence.resample(self._known(avatar)["fps"]), None, []
+        whole, states, parts = sequence.resample(self.describe(avatar)["fps"]), None, []
         for first in range(0, len(whole), PART):
             answer = self.run(avatar, whole[first : first + PART], garments, states)
             parts.append(answer.vertices)
@@ -91,7 +91,10 @@ class Client:
         Of a motion of another body each root stands where it stood, see :meth:`PoseSequence.about`.
         ``encoding`` and ``normals`` choose what travels, see docs/protocol.md. ``condition``: settings of conditioning
         as in docs/conditioning.md, {} for its defaults; the answer's ``conditioning`` then says what was done.
+        ``states`` are those of the garments asked for, in any order.
         """
+        if not states:  # a motion starts, and the avatar may be another than that of the last one
+            self._avatars.pop(avatar, None)
         if condition is not None:
             sequence, condition = as_seen(sequence), {"frame": sequence.frame, **condition}
         elif sequence.frame == "camera":
@@ -101,12 +104,14 @@ class Client:
             )
         else:
             sequence = sequence.to_y_up()
-        sequence = sequence.about(self.pelvis(avatar))
-        state = np.concatenate(list(states.values())) if states else np.zeros(0, np.float32)
+        known = self._known(avatar)
+        sequence = sequence.about(np.array(known["joints"][0]))
+        sizes = {g["name"]: g["state_size"] for g in known["garments"] if not garments or g["name"] in garments}
+        state = given.joined(states, sizes) if states else np.zeros(0, np.float32)
         body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, state))
         chosen = [("garment", name) for name in garments]
         chosen += [("encoding", encoding)] * (encoding != "float32") + [("normals", "true")] * normals
-        chosen += [] if condition is None else [("condition", json.dumps(condition))]
+        chosen += [] if condition is None else [("condition", given.settings(condition))]
         query = urlencode(chosen)
         path = f"/avatars/{quote(avatar, safe='')}/frames" + (f"?{query}" if query else "")
         answered = decode_response(self._ask("POST", path, body))
@@ -119,7 +124,7 @@ class Client:
     def _ask(self, method: str, path: str, body: bytes | None = None) -> bytes:
         try:
             response, content = self._exchange(method, path, body)
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, UnicodeError) as error:  # the last are names that no host can have
             self._connection.close()
             raise CaphyError(f"{self._url}: cannot be reached ({error}); is 'caphy serve' running there?") from error
         if response.status != 200:
@@ -137,7 +142,7 @@ class Client:
         headers = {"accept": "application/json"} if body is None else {"content-type": MEDIA_TYPE, "accept": MEDIA_TYPE}
         was_open = self._connection.sock is not None
         try:
-            self._connection.request(method, path, body, headers | self._headers)
+            self._connection.request(method, self._root + path, body, headers | self._headers)
             response = self._connection.getresponse()
         except (ConnectionResetError, BrokenPipeError):  # RemoteDisconnected is the first
             self._connection.close()

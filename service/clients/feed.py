@@ -8,14 +8,15 @@ with FeedClient("http://127.0.0.1:8000", "default", "camera", fps=30.0) as feed:
 from __future__ import annotations
 
 import time
-from urllib.parse import quote, urlencode, urlsplit, urlunsplit
+from urllib.parse import quote, urlencode, urlunsplit
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import connect
 
 from caphy.errors import CaphyError
-from service.clients.stream import FINAL, refusal, web_socket
+from service.clients import given
+from service.clients.stream import FINAL, SCHEMES, refusal, web_socket
 from service.stream.messages import Poses, Rate, Reset, encode_client
 
 
@@ -26,12 +27,12 @@ class FeedClient:
     """
 
     def __init__(self, url: str, avatar: str, feed: str, *, fps: float = 30.0, key: str | None = None) -> None:
-        parts = urlsplit(url)
+        parts = given.address(url, SCHEMES)
         query = urlencode({"avatar": avatar, "feed": feed})
         self.page = urlunsplit((parts.scheme, parts.netloc, f"{parts.path.rstrip('/')}/", query, ""))
         """The page's address that shows this feed."""
         self._address = web_socket(url, f"/avatars/{quote(avatar, safe='')}/feeds/{quote(feed, safe='')}/send")
-        headers = {"authorization": f"Bearer {key}"} if key else None
+        headers, fps = given.headers("authorization", "Bearer ", key), given.rate(fps)
         self._number = 0
         try:
             opening = connect(self._address, compression=None, additional_headers=headers)
@@ -42,9 +43,7 @@ class FeedClient:
 
     def send(self, poses: np.ndarray, transl: np.ndarray) -> None:
         """Send poses (55, 3) or (T, 55, 3) [rad] and transl (3,) or (T, 3) [m] of the next frames."""
-        poses, transl = np.array(poses, np.float32).reshape(-1, 55, 3), np.array(transl, np.float32).reshape(-1, 3)
-        if len(poses) != len(transl):
-            raise CaphyError(f"there must be a translation for each of {len(poses)} poses, got {len(transl)}")
+        poses, transl = given.frames(poses, transl)
         self._send(encode_client(Poses(self._number + 1, time.monotonic(), poses, transl)))
         self._number += len(poses)
 

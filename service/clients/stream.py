@@ -7,13 +7,12 @@ with StreamClient("http://127.0.0.1:8000", "default", encoding="uint16") as stre
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
-from urllib.parse import quote, urlsplit, urlunsplit
+from urllib.parse import quote, urlunsplit
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -22,6 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from caphy.errors import CaphyError
 from caphy.io.bundle import NAME_PATTERN
+from service.clients import given
 from service.encodings import LABELS, Encoding, EncodingName
 from service.stream.messages import (
     MOST_CREDITS,
@@ -43,6 +43,8 @@ from service.stream.messages import (
 
 SAVE_EVERY = 30
 """Messages of poses between two requests for the state."""
+SCHEMES = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}
+"""Of a service's address, and of its WebSockets'."""
 FINAL = {4400, 4404, 4409, 4413, 4422, 1008}
 """Close codes after which the same again would fail again."""
 
@@ -75,14 +77,15 @@ class StreamClient:
         normals: bool = False,
         fps: float = 30.0,
         credits: int = 2,
-        state: np.ndarray | None = None,
+        state: Mapping[str, np.ndarray] | np.ndarray | None = None,
         key: str | None = None,
         patience: float = 10.0,
         conditioning: Mapping[str, Any] | None = None,
     ) -> None:
-        """``conditioning``: settings as in docs/conditioning.md; {} for its defaults, none for no conditioning.
+        """``state``: of a motion to continue, what :meth:`state` said, by name or one after another as welcome has it.
+        ``conditioning``: settings as in docs/conditioning.md; {} for its defaults, none for no conditioning.
 
-        Raises CaphyError for an encoding, a number of credits or names that no hello can hold.
+        Raises CaphyError for what no hello can hold, and states of other garments than the stream's.
         """
         if encoding not in LABELS:
             raise CaphyError(f"encoding must be one of {', '.join(LABELS)}, got {encoding!r}")
@@ -92,15 +95,17 @@ class StreamClient:
             if not NAME_PATTERN.fullmatch(name):
                 raise CaphyError(f"garment names are lower-case letters, digits, - and _, 39 at most, got {name!r}")
         self._address = web_socket(url, f"/avatars/{quote(avatar, safe='')}/stream")
-        self._headers = {"authorization": f"Bearer {key}"} if key else None
-        self._hello = Hello(tuple(garments), fps, Encoding(LABELS.index(encoding)), normals, credits)
-        if conditioning is not None:
-            self._hello = replace(self._hello, conditioning=json.dumps(dict(conditioning)))
-        self._state = np.zeros(0, np.float32) if state is None else np.asarray(state, np.float32)
-        self._fps, self._patience = fps, patience
+        self._headers = given.headers("authorization", "Bearer ", key)
+        self._fps, self._patience = given.rate(fps), patience  # the rate where the state is
+        settings = "" if conditioning is None else given.settings(conditioning)
+        self._hello = Hello(
+            tuple(garments), fps, Encoding(LABELS.index(encoding)), normals, credits, conditioning=settings
+        )
+        named = isinstance(state, Mapping)
+        self._state = np.zeros(0, np.float32) if state is None or named else given.floats("state", state).ravel()
         self._number = self._received = self._settled = 0
         self._motion = 0  # goes with every request for the state and comes back, to tell states from before a reset
-        self._unsaved: deque[Poses] = deque()
+        self._unsaved: deque[Poses | Rate] = deque()
         self._since_saved = 0
         self._messages: deque[ServerMessage] = deque()
         self.skipped = 0
@@ -108,6 +113,10 @@ class StreamClient:
         self.reconnections = 0
         self._welcome: Welcome
         self._socket = self._connect()
+        if isinstance(state, Mapping) and state:  # in which order it goes, the first welcome said
+            self.close()
+            self._state = given.joined(state, {g.name: g.state_size for g in self._welcome.garments})
+            self._socket = self._connect()
 
     @property
     def welcome(self) -> Welcome:
@@ -126,19 +135,10 @@ class StreamClient:
         On a conditioned stream ``times`` (T,) [s] are when they were seen, and ``confidence`` how surely, of all or of
         each joint (T, 55): 0 where nobody was seen, whatever the pose holds.
         """
-        poses, transl = (np.array(array, np.float32) for array in (poses, transl))
-        poses, transl = poses.reshape(-1, *poses.shape[-2:]), transl.reshape(-1, 3)
-        if poses.shape[1:] != (55, 3) or len(transl) != len(poses):
-            raise CaphyError(
-                f"poses must have shape (frames, 55, 3), transl (frames, 3), got {poses.shape}, {transl.shape}"
-            )
+        poses, transl = given.frames(poses, transl)
         message = Poses(self._number + 1, time.monotonic(), poses, transl)
         if times is not None:
-            times = np.array(times, np.float64).reshape(-1)
-            if len(times) != len(poses):
-                raise CaphyError(f"there must be a time for each of {len(poses)} poses, got {len(times)}")
-            trust = np.array(np.broadcast_to(confidence, poses.shape[:2]), np.float32)
-            message = Seen(message.number, message.time, poses, transl, times, trust)
+            message = Seen(message.number, message.time, poses, transl, *given.seen(times, confidence, len(poses)))
         self._number += len(poses)
         self._unsaved.append(message)
         self._since_saved += 1
@@ -159,7 +159,9 @@ class StreamClient:
                     self._received = message.number
                     return message
             elif isinstance(message, Failure):
-                self._unsaved = deque(sent for sent in self._unsaved if sent.number != message.number)
+                self._unsaved = deque(
+                    sent for sent in self._unsaved if isinstance(sent, Rate) or sent.number != message.number
+                )
                 raise StreamRefused(message.code, message.text)
 
     def state(self, timeout: float | None = 10.0) -> dict[str, np.ndarray]:
@@ -176,17 +178,18 @@ class StreamClient:
         return {garment.name: part for garment, part in zip(self._welcome.garments, parts, strict=True)}
 
     def reset(self) -> None:
-        """The next pose starts a new motion."""
+        """The next pose starts a new motion; of the old one no meshes are given any more."""
         self._motion += 1
-        self._unsaved.clear()
         self._state = np.zeros(0, np.float32)
-        self._settled = self._number
+        self._settled = self._received = self._number
+        self._forget_settled()
         self._send(encode_client(Reset()))
 
     def set_fps(self, fps: float) -> None:
         """The poses from here on come at ``fps`` [Hz]."""
-        self._fps = fps
-        self._send(encode_client(Rate(fps)))
+        message = Rate(given.rate(fps))
+        self._unsaved.append(message)
+        self._send(encode_client(message))
 
     def close(self) -> None:
         """End the stream."""
@@ -217,11 +220,20 @@ class StreamClient:
         if isinstance(message, State) and message.time == self._motion:
             self._state = message.state
             self._settled = max(self._settled, message.number)  # a new connection counts no poses before its own
-            while self._unsaved and self._unsaved[0].number + len(self._unsaved[0].poses) - 1 <= self._settled:
-                self._unsaved.popleft()
+            self._forget_settled()
         if isinstance(message, Dressed):
             self.skipped = message.skipped
         return message
+
+    def _forget_settled(self) -> None:
+        """Forget the poses that the state has in it, and the rates before those that it has not."""
+        while self._unsaved:
+            first = self._unsaved[0]
+            if isinstance(first, Rate):
+                self._fps = first.fps
+            elif first.number + len(first.poses) - 1 > self._settled:
+                return
+            self._unsaved.popleft()
 
     def _send(self, body: bytes) -> None:
         try:
@@ -233,9 +245,11 @@ class StreamClient:
         _require_not_final(closed)
         self.reconnections += 1
         self._socket = self._connect()
-        for message in self._unsaved:
-            self._send(encode_client(message))
-        self._send(encode_client(GetState(self._motion)))
+        try:
+            for message in (*self._unsaved, GetState(self._motion)):
+                self._socket.send(encode_client(message))
+        except ConnectionClosed as again:
+            self._reconnect(again)
 
     def _connect(self) -> ClientConnection:
         """A connection on which hello was said with the state there is."""
@@ -287,8 +301,5 @@ def _is_denied(error: Exception) -> bool:
 
 def web_socket(url: str, path: str) -> str:
     """The WebSocket's address of a path below a service's; CaphyError for what is no address."""
-    parts = urlsplit(url)
-    scheme = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}.get(parts.scheme)
-    if scheme is None or not parts.hostname:
-        raise CaphyError(f"a service's address is like http://127.0.0.1:8000, got {url!r}")
-    return urlunsplit((scheme, parts.netloc, parts.path.rstrip("/") + path, "", ""))
+    parts = given.address(url, SCHEMES)
+    return urlunsplit((SCHEMES[parts.scheme], parts.netloc, parts.path.rstrip("/") + path, "", ""))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 from dataclasses import replace
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
@@ -13,7 +15,11 @@ import pytest
 from caphy.errors import CaphyError
 from caphy.io.poses.sequence import SMPLX_PELVIS
 from service.client import Client
+from service.clients import given
+from service.clients.feed import FeedClient
+from service.clients.stream import StreamClient
 from service.engine import GarmentEngine
+from service.frames import FPS_RANGE
 
 
 def test_frames_are_the_engines(url, bundle, motion):
@@ -59,13 +65,48 @@ def test_a_cameras_view_of_another_body_is_told_about_the_avatars_pelvis(url, mo
     np.testing.assert_allclose(found.vertices["tshirt"], expected.vertices["tshirt"], atol=1e-5)
 
 
-def test_an_avatars_body_is_asked_for_once(url, motion, monkeypatch):
-    client, asked = Client(url), []
+def test_an_avatar_is_asked_for_once_a_motion(url, motion, monkeypatch):
+    """Not once for all: between two motions the service may have loaded another skeleton under its name."""
+    client, asked, states = Client(url), [], None
     describe = client.describe
     monkeypatch.setattr(client, "describe", lambda avatar: asked.append(avatar) or describe(avatar))
     for frame in range(3):
-        client.run("shell", motion[frame : frame + 1])
+        states = client.run("shell", motion[frame : frame + 1], states=states).states
     assert asked == ["shell"]
+    expected = client.frames("shell", motion)
+    before = describe("shell")
+    client._avatars["shell"] = {**before, "fps": 10.0, "joints": (np.array(before["joints"]) + 0.25).tolist()}
+    np.testing.assert_array_equal(client.frames("shell", motion)["tshirt"], expected["tshirt"])
+
+
+def test_states_go_by_their_names(url, motion):
+    client = Client(url)
+    first = client.run("shell", motion[:11])
+    expected = client.run("shell", motion[11:], states=first.states)
+    turned = dict(reversed(first.states.items()))
+    assert list(turned) != list(first.states)
+    found = client.run("shell", motion[11:], states=turned)
+    for name, vertices in expected.vertices.items():
+        np.testing.assert_array_equal(found.vertices[name], vertices)
+
+
+@pytest.mark.parametrize(
+    ("garments", "states", "word"),
+    [
+        (["tshirt"], ["trousers"], r"each garment asked for \(tshirt\), got trousers"),
+        (["tshirt"], ["tshirt", "trousers"], r"asked for \(tshirt\), got tshirt, trousers"),
+        ([], ["tshirt"], r"asked for \(tshirt, trousers\), got tshirt"),
+        ([], ["tshirt", "trousers", "hat"], "got tshirt, trousers, hat"),
+    ],
+)
+def test_states_of_other_garments_are_refused(url, motion, garments, states, word):
+    client = Client(url)
+    known = client.run("shell", motion[:2]).states
+    told = {name: known.get(name, np.zeros(3)) for name in states}
+    with pytest.raises(CaphyError, match=word):
+        client.run("shell", motion[2:4], garments, told)
+    with pytest.raises(CaphyError, match="state of tshirt must have shape"):
+        client.run("shell", motion[2:4], ["tshirt"], {"tshirt": known["tshirt"][1:]})
 
 
 def test_lists_and_describes(url):
@@ -96,6 +137,50 @@ def test_nobody_there_and_no_address():
         Client(f"http://127.0.0.1:{port}").avatars()
     with pytest.raises(CaphyError, match="address"):
         Client("localhost:8000")
+
+
+@pytest.mark.parametrize(
+    "client", [Client, partial(StreamClient, avatar="a"), partial(FeedClient, avatar="a", feed="f")]
+)
+@pytest.mark.parametrize(
+    ("url", "key", "word"),
+    [
+        ("http://h:99999", None, "address is like .*got 'http://h:99999'"),
+        ("http://h:abc", None, "address is like"),
+        ("http://[::1", None, "address is like"),
+        ("http://127.0.0.1:9", "a\nkey", "a key is one line"),
+    ],
+)
+def test_addresses_and_keys_that_cannot_be_are_refused_in_words(client, url, key, word):
+    with pytest.raises(CaphyError, match=word):
+        client(url, key=key)
+
+
+def test_hosts_without_a_name_that_can_be_are_told(url):
+    with pytest.raises(CaphyError, match="cannot be reached"):
+        Client(f"http://{'h' * 80}.example").avatars()
+
+
+class Prefixed(BaseHTTPRequestHandler):
+    """A service below a path."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(json.dumps([self.path]).encode())
+
+    def log_message(self, *_):
+        pass
+
+
+def test_a_service_may_be_below_a_path():
+    with ThreadingHTTPServer(("127.0.0.1", 0), Prefixed) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        for end in ("", "/"):
+            client = Client(f"http://127.0.0.1:{server.server_port}/clothes{end}")
+            assert client.avatars() == ["/clothes/avatars"]
+            client.close()
+        server.shutdown()
 
 
 class Closing(BaseHTTPRequestHandler):
@@ -150,6 +235,15 @@ def test_a_motion_that_gets_long_by_resampling_goes_in_parts(url, motion):
     poses, transl = np.tile(motion.poses, (28, 1, 1)), np.tile(motion.transl, (28, 1))
     slow = replace(motion, poses=poses, transl=transl, fps=10.0)  # 840 poses, but more frames than a request may have
     assert len(Client(url).frames("shell", slow, ["tshirt"])["tshirt"]) == 2518
+
+
+def test_clients_give_the_rates_that_services_take():
+    assert given.RATES == FPS_RANGE
+
+
+def test_settings_that_json_cannot_hold_are_told(url, motion):
+    with pytest.raises(CaphyError, match="settings of conditioning must be numbers"):
+        Client(url).run("shell", motion, condition={"latency": np.float32(0.1)})
 
 
 def test_parameters_that_are_none_are_told(url):

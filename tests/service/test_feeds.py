@@ -153,12 +153,16 @@ def test_the_client_sends_what_arrives(url):
         found = [listener.recv(timeout=30) for _ in range(3)]
         with pytest.raises(StreamRefused, match=r"somebody sends on feed 'cam' already.*\(409\)"):
             until_refused(FeedClient(url, "shell", "cam"))
-        with pytest.raises(CaphyError, match="a translation for each of 2 poses, got 1"):
+        with pytest.raises(CaphyError, match=r"poses must have shape \(frames, 55, 3\).*got \(2, 55, 3\), \(3,\)"):
             feed.send(np.ones((2, 55, 3)), np.zeros(3))
+        with pytest.raises(CaphyError, match=r"got \(3, 55\), \(3,\)"):
+            feed.send(np.ones((3, 55)), np.zeros(3))
     assert [body[5] for body in found] == [2, 4, 2]
     assert [int.from_bytes(body[8:12], "little") for body in (found[0], found[2])] == [1, 2]
     with pytest.raises(CaphyError, match="no feed"):
         FeedClient("http://127.0.0.1:9", "shell", "cam")
+    with pytest.raises(CaphyError, match="fps must lie between 1 and 1000, got 1e"):
+        FeedClient("http://127.0.0.1:9", "shell", "cam", fps=1e39)
 
 
 def until_refused(feed: FeedClient) -> None:

@@ -154,9 +154,49 @@ def test_reset_and_state(url, motion, whole):
         assert all(not rest[name].any() and moved[name].any() for name in moved)
         stream.send(motion.poses[0], motion.transl[0])
         np.testing.assert_allclose(stream.receive().meshes.vertices["tshirt"][0], whole["tshirt"][0], atol=5e-6)
-    state = np.concatenate(list(moved.values()))
-    with StreamClient(url, "shell", state=state) as stream:
-        assert all(np.array_equal(value, moved[name]) for name, value in stream.state().items())
+    turned = dict(reversed(moved.items()))
+    assert list(turned) != list(moved)
+    for state in (np.concatenate(list(moved.values())), moved, turned):
+        with StreamClient(url, "shell", state=state) as stream:
+            assert all(np.array_equal(value, moved[name]) for name, value in stream.state().items())
+    with pytest.raises(CaphyError, match=r"each garment asked for \(tshirt\), got tshirt, trousers"):
+        StreamClient(url, "shell", ["tshirt"], state=moved)
+
+
+def test_of_the_motion_before_a_reset_no_meshes_are_given(url, motion, whole):
+    with StreamClient(url, "shell", credits=8) as stream:
+        stream.send(motion.poses[7], motion.transl[7])
+        stream.state()  # its meshes are here, or about to be
+        stream.reset()
+        stream.send(motion.poses[0], motion.transl[0])
+        answer = stream.receive()
+        assert (answer.number, answer.tick) == (2, 0)
+        np.testing.assert_allclose(answer.meshes.vertices["tshirt"][0], whole["tshirt"][0], atol=5e-6)
+
+
+@pytest.mark.parametrize("saved", [False, True])
+@pytest.mark.parametrize("rates", [(30.0, 60.0), (60.0, 30.0), (30.0, 15.0)])
+def test_a_new_rate_is_none_of_the_poses_before_it(wire, url, motion, rates, saved):
+    """Neither where they go over a new connection again, nor of a state from before it."""
+
+    def played(port: str, cut: bool) -> np.ndarray:
+        with StreamClient(f"http://127.0.0.1:{port}", "shell", ["tshirt"], fps=rates[0], credits=64) as stream:
+            for frame in range(20):
+                if frame == 10:
+                    stream.set_fps(rates[1])
+                stream.send(motion.poses[frame], motion.transl[frame])
+                found.append(stream.receive().meshes.vertices["tshirt"])
+                if saved and frame == 5:
+                    stream.state()
+                if cut and frame == 13:
+                    wire.cut()
+            assert stream.reconnections == int(cut)
+        return np.concatenate(found)
+
+    found: list[np.ndarray] = []
+    expected = played(url.rsplit(":", 1)[1], cut=False)
+    found = []
+    np.testing.assert_allclose(played(str(wire.port), cut=True), expected, atol=5e-6)
 
 
 def test_a_state_from_before_a_reset_is_none_of_the_motion_after_it(wire, motion, whole, monkeypatch):
@@ -200,6 +240,15 @@ def test_refusals_reach_the_caller_and_the_stream_goes_on(url, motion):
         assert stream.receive().number == 2
         with pytest.raises(CaphyError, match="shape"):
             stream.send(np.zeros((24, 3)), np.zeros(3))
+        for transl in (np.zeros(2), np.zeros((2, 3)), "here"):
+            with pytest.raises(CaphyError, match="transl"):
+                stream.send(motion.poses[0], transl)
+        with pytest.raises(CaphyError, match="times must be an array of numbers"):
+            stream.send(motion.poses[0], motion.transl[0], "now")
+        with pytest.raises(CaphyError, match=r"confidence must be one number or have shape \(1, 55\), got \(7,\)"):
+            stream.send(motion.poses[0], motion.transl[0], 0.0, np.ones(7))
+        with pytest.raises(CaphyError, match="fps must lie between 1 and 1000, got 0"):
+            stream.set_fps(0.0)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +256,6 @@ def test_refusals_reach_the_caller_and_the_stream_goes_on(url, motion):
     [
         (("nobody",), {}, r"no avatar 'nobody'.*404"),
         (("shell", ["hat"]), {}, r"no garment 'hat'.*404"),
-        (("shell",), {"fps": -1.0}, r"fps.*422"),
         (("shell",), {"state": np.zeros(5)}, r"state.*422"),
     ],
 )
@@ -224,6 +272,11 @@ def test_hellos_that_are_refused(url, arguments, options, word):
         ({"credits": -1}, "credits must lie between"),
         ({"garments": ["hät"]}, "garment names are"),
         ({"garments": ["h" * 50]}, "garment names are"),
+        ({"fps": -1.0}, "fps must lie between 1 and 1000, got -1"),
+        ({"fps": 1e39}, "fps must lie between 1 and 1000, got 1e"),
+        ({"fps": float("nan")}, "fps must lie between 1 and 1000, got nan"),
+        ({"state": "none"}, "state must be an array of numbers, got str"),
+        ({"conditioning": {"latency": np.float32(0.1)}}, "settings of conditioning must be numbers"),
     ],
 )
 def test_hellos_that_cannot_be_said(url, options, word):
