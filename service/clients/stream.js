@@ -26,6 +26,8 @@ const NAME_BYTES = 40;
 const GARMENT_BYTES = 48;
 const FRAME_FLOATS = 3 * JOINTS + 3;
 const SAVE_EVERY = 30;
+/** Frames per second that a service takes poses at. */
+const RATES = [1, 1000];
 /** Close codes after which the same again would fail again. */
 const FINAL = new Set([4400, 4404, 4409, 4413, 4422, 1008]);
 
@@ -234,7 +236,8 @@ export class ServerDecoder {
  * poses sent since; meshes received already are not given twice.
  *
  * Set onwelcome, onmeshes, onerror ({ code, text }: a message was refused, the stream goes on), onstatus ("connecting",
- * "open", "closed"). `key` is an API key. A credit goes back with every answer, after onmeshes has returned.
+ * "open", "closed"). `key` is an API key, `state` what state() said of a motion to continue, or its floats in the order
+ * of the welcome. A credit goes back with every answer, after onmeshes has returned.
  */
 export class GarmentStream {
   onwelcome = () => {};
@@ -249,13 +252,17 @@ export class GarmentStream {
 
   #url; #options; #socket = null; #closed = false; #wait = 50; #timer = null;
   #number = 0; #received = 0; #unsaved = []; #sinceSaved = 0; #state = new Float32Array(0); #asked = [];
+  #named = null; // states by name, until a welcome says in which order they go
   #settled = 0; // the pose after which #state is
   #motion = 0; // goes with every request for the state and comes back, to tell states from before a reset
 
   constructor(url, { key, state, ...options } = {}) {
     this.#url = String(url).replace(/^http/, "ws");
     this.#options = { fps: 30, encoding: "float32", normals: false, credits: 2, garments: [], ...options, key };
-    if (state) this.#state = Float32Array.from(state);
+    const kind = Object.prototype.toString.call(state);
+    if (ArrayBuffer.isView(state) || Array.isArray(state)) this.#state = Float32Array.from(state);
+    else if (kind === "[object Object]") this.#named = Object.keys(state).length ? state : null;
+    else if (state != null) throw new TypeError(`state must be what state() said, or its floats, got ${kind}`);
     this.#connect();
   }
 
@@ -280,32 +287,38 @@ export class GarmentStream {
     return this.#number;
   }
 
-  /** The state of every garment after all poses sent so far: a promise of { tshirt: Float32Array }. */
+  /** The state of every garment after all poses sent so far: a promise of { tshirt: Float32Array }, rejected where the
+   * stream is closed first. */
   state() {
-    return new Promise((resolve) => {
-      this.#asked.push({ motion: this.#motion, after: this.#number, resolve });
+    return new Promise((resolve, reject) => {
+      if (this.#closed) throw new Error("the stream is closed");
+      this.#asked.push({ motion: this.#motion, after: this.#number, resolve, reject });
       if (this.open) this.#socket.send(encodeGetState(this.#motion));
     });
   }
 
-  /** The next pose starts a new motion. */
+  /** The next pose starts a new motion; of the old one no meshes are given any more. */
   reset() {
     this.#motion++;
-    this.#settled = this.#number;
-    this.#unsaved = [];
+    this.#settled = this.#received = this.#number;
+    this.#forgetSettled();
     this.#state = new Float32Array(0);
+    this.#named = null;
     if (this.open) this.#socket.send(encodeReset());
   }
 
   /** The poses from here on come at this rate. */
   setFps(fps) {
-    this.#options.fps = fps;
-    if (this.open) this.#socket.send(encodeRate(fps));
+    if (!(fps >= RATES[0] && fps <= RATES[1])) throw new RangeError(`fps must lie between ${RATES.join(" and ")}, got ${fps}`);
+    const body = encodeRate(fps);
+    this.#unsaved.push({ fps, body });
+    if (this.open) this.#socket.send(body);
   }
 
   close() {
     this.#closed = true;
     clearTimeout(this.#timer);
+    this.#rejectAsked("the stream is closed");
     this.#socket?.close(1000);
   }
 
@@ -325,6 +338,7 @@ export class GarmentStream {
   #take(message) {
     switch (message.kind) {
       case Kind.WELCOME:
+        if (this.#named) return this.#continueNamed(message.garments);
         this.welcome = message;
         this.#wait = 50;
         for (const { body } of this.#unsaved) this.#socket.send(body);
@@ -350,11 +364,24 @@ export class GarmentStream {
     }
   }
 
+  /** Connect anew with the states given by name, now that the garments' order is known. */
+  #continueNamed(garments) {
+    const named = this.#named, said = (name, size) => `${name} (${size} floats)`;
+    this.#named = null;
+    this.#socket.onclose = null;
+    this.#socket.close(1000);
+    const wanted = garments.map(({ name, stateSize }) => said(name, stateSize)).sort().join(", ");
+    const got = Object.entries(named).map(([name, part]) => said(name, part?.length)).sort().join(", ");
+    if (wanted !== got) return this.#end(422, `state: must hold ${wanted}, got ${got}`);
+    this.#state = Float32Array.from(garments.flatMap(({ name }) => Array.from(named[name])));
+    this.#connect();
+  }
+
   #settle({ number, time: motion, state }) {
     if (motion === this.#motion) {
       this.#state = state;
       number = this.#settled = Math.max(this.#settled, number); // a new connection counts no poses before its own
-      this.#unsaved = this.#unsaved.filter(({ last }) => last > number);
+      this.#forgetSettled();
     }
     const waiting = [];
     for (const asked of this.#asked) {
@@ -369,14 +396,30 @@ export class GarmentStream {
     this.#asked = waiting;
   }
 
+  /** Forget the poses that the state has in it, and the rates before those that it has not. */
+  #forgetSettled() {
+    while (this.#unsaved.length && !(this.#unsaved[0].last > this.#settled)) {
+      const { fps } = this.#unsaved.shift();
+      if (fps) this.#options.fps = fps; // the rate where the state is
+    }
+  }
+
+  #rejectAsked(text) {
+    for (const { reject } of this.#asked) reject(new Error(text));
+    this.#asked = [];
+  }
+
+  #end(code, text) {
+    this.#closed = true;
+    this.#rejectAsked(`${text} (${code})`);
+    this.onerror({ code, text, number: 0 });
+    this.onstatus("closed");
+  }
+
   #lost({ code, reason }) {
     this.welcome = null;
-    if (this.#closed || FINAL.has(code)) {
-      this.#closed = true;
-      if (FINAL.has(code)) this.onerror({ code: code >= 4000 ? code - 4000 : 403, text: reason, number: 0 });
-      this.onstatus("closed");
-      return;
-    }
+    if (FINAL.has(code)) return this.#end(code >= 4000 ? code - 4000 : 403, reason);
+    if (this.#closed) return this.onstatus("closed");
     this.onstatus("connecting");
     this.reconnections++;
     this.#timer = setTimeout(() => this.#connect(), this.#wait);

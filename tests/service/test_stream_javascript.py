@@ -14,7 +14,7 @@ CLIENT = Path(service.clients.__file__).with_name("stream.js")
 SOCKET = """
 import { GarmentStream, HEADER_BYTES, Kind } from "CLIENT";
 
-const sent = [];
+const sent = [], bodies = [];
 let socket;
 globalThis.WebSocket = class {
   readyState = 1;
@@ -25,6 +25,7 @@ globalThis.WebSocket = class {
   send(body) {
     const view = new DataView(body);
     sent.push([view.getUint8(5), view.getUint32(8, true), view.getUint32(12, true), view.getFloat64(16, true)]);
+    bodies.push(view);
     if (view.getUint8(5) === Kind.HELLO) queueMicrotask(() => this.onmessage({ data: welcome() }));
   }
   close() {}
@@ -38,11 +39,14 @@ function message(kind, bytes) {
   return view;
 }
 
-function welcome() { // one garment, "a", whose state is one float
-  const view = message(Kind.WELCOME, 8 + 48);
-  view.setUint16(6, 1, true);
-  view.setUint8(32, 97);
-  view.setUint32(76, 1, true);
+let names = "a"; // of garments; the state of each is one float
+function welcome() {
+  const view = message(Kind.WELCOME, 8 + 48 * names.length);
+  view.setUint16(6, names.length, true);
+  [...names].forEach((name, i) => {
+    view.setUint8(32 + 48 * i, name.charCodeAt(0));
+    view.setUint32(76 + 48 * i, 1, true);
+  });
   return view.buffer;
 }
 
@@ -56,6 +60,10 @@ function state(number, time, value) {
 }
 
 const poses = new Float32Array(165), transl = new Float32Array(3);
+const welcomed = (stream) => new Promise((resolve) => (stream.onwelcome = resolve));
+const hello = () => bodies.filter((view) => view.getUint8(5) === Kind.HELLO).at(-1);
+"""
+OPEN = """
 const stream = new GarmentStream("ws://nowhere/");
 """
 OPENS = """
@@ -81,6 +89,79 @@ const floats = sent.filter(([kind]) => kind === Kind.HELLO).map(([, , extra]) =>
 console.log(JSON.stringify({ values, floats }));
 stream.close();
 """
+RATES = """
+await welcomed(stream);
+stream.send(poses, transl);
+stream.setFps(15);
+stream.send(poses, transl);
+const play = async (ended) => {
+  socket.onclose({ code: 1006, reason: "" });
+  await welcomed(stream);
+  const kinds = sent.slice(ended).map(([kind]) => kind).filter((kind) => kind !== Kind.GET_STATE);
+  return [hello().getFloat32(24, true), kinds];
+};
+const both = await play(sent.length);
+socket.onmessage(state(1, 0, 0.5)); // after the first pose
+const saved = await play(sent.length);
+try {
+  stream.setFps(0);
+} catch (error) {
+  console.log(JSON.stringify({ both, saved, error: error.message }));
+}
+stream.close();
+"""
+STATES = """
+names = "ab";
+const ended = async (state) => {
+  const stream = new GarmentStream("ws://nowhere/", { state });
+  const closed = new Promise((resolve) => (stream.onerror = ({ code, text }) => resolve(`${text} (${code})`)));
+  const asked = stream.state().catch((error) => error.message);
+  return [await closed, await asked, await stream.state().catch((error) => error.message)];
+};
+const thrown = (state) => {
+  try {
+    new GarmentStream("ws://nowhere/", { state });
+  } catch (error) {
+    return error.message;
+  }
+};
+const said = async (state) => {
+  const stream = new GarmentStream("ws://nowhere/", { state });
+  await welcomed(stream);
+  stream.close();
+  return Array.from({ length: hello().getUint32(12, true) }, (_, i) => hello().getFloat32(32 + 4 * i, true));
+};
+const a = Float32Array.of(0.25), b = Float32Array.of(0.5);
+console.log(JSON.stringify({
+  said: [await said({ b, a }), await said([0.25, 0.5]), await said(undefined), await said({})],
+  ended: [await ended({ a }), await ended({ a, c: b })],
+  thrown: [thrown("none"), thrown(Promise.resolve({ a, b })), thrown(new Map())],
+}));
+"""
+CLOSES = """
+await welcomed(stream);
+const waiting = stream.state().catch((error) => error.message);
+stream.close();
+const after = stream.state().catch((error) => error.message);
+console.log(JSON.stringify([await waiting, await after]));
+"""
+LATE = """
+await welcomed(stream);
+const numbers = [];
+stream.onmeshes = ({ number }) => numbers.push(number);
+const meshes = (number) => {
+  const view = message(Kind.MESHES, 8);
+  view.setUint32(8, number, true);
+  socket.onmessage({ data: view.buffer });
+};
+stream.send(poses, transl);
+stream.reset();
+meshes(1);
+stream.send(poses, transl);
+meshes(2);
+console.log(JSON.stringify([numbers, sent.filter(([kind]) => kind === Kind.CREDIT).length]));
+stream.close();
+"""
 
 
 def ran(script: str, folder: Path) -> Any:
@@ -95,9 +176,37 @@ def ran(script: str, folder: Path) -> Any:
 
 
 def test_poses_sent_as_the_stream_opens_go_out_once_and_in_order(tmp_path):
-    assert ran(OPENS, tmp_path) == [1, 2, 3]
+    assert ran(OPEN + OPENS, tmp_path) == [1, 2, 3]
 
 
 def test_a_state_from_before_a_reset_is_none_of_the_motion_after_it(tmp_path):
     """It answers who asked before the reset; who asked after it, and a new connection's hello, get none of it."""
-    assert ran(RESETS, tmp_path) == {"values": [0.5, 0.25], "floats": [0, 0]}
+    assert ran(OPEN + RESETS, tmp_path) == {"values": [0.5, 0.25], "floats": [0, 0]}
+
+
+def test_a_new_rate_is_none_of_the_poses_before_it(tmp_path):
+    """Over a new connection it goes between the poses that it went between; hello has the rate where the state is."""
+    assert ran(OPEN + RATES, tmp_path) == {
+        "both": [30, [1, 2, 5, 2]],
+        "saved": [15, [1, 2]],
+        "error": "fps must lie between 1 and 1000, got 0",
+    }
+
+
+def test_states_go_by_their_names(tmp_path):
+    found = ran(STATES, tmp_path)
+    assert found["said"] == [[0.25, 0.5], [0.25, 0.5], [], []]
+    wanted = "state: must hold a (1 floats), b (1 floats), got"
+    for ended, got in zip(found["ended"], ("a (1 floats)", "a (1 floats), c (1 floats)"), strict=True):
+        assert ended == [f"{wanted} {got} (422)", f"{wanted} {got} (422)", "the stream is closed"]
+    for thrown, kind in zip(found["thrown"], ("String", "Promise", "Map"), strict=True):
+        assert thrown == f"state must be what state() said, or its floats, got [object {kind}]"
+
+
+def test_a_closed_stream_promises_no_state(tmp_path):
+    assert ran(OPEN + CLOSES, tmp_path) == ["the stream is closed", "the stream is closed"]
+
+
+def test_of_the_motion_before_a_reset_no_meshes_are_given(tmp_path):
+    """Its answers give their credits back all the same."""
+    assert ran(OPEN + LATE, tmp_path) == [[2], 2]

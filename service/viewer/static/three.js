@@ -1,4 +1,4 @@
-/* built from sources 20667ccc0c6a324b1b0a13f64e86c72648ada134c37e9749229e02c361195309 */
+/* built from sources 8d73433d45571670909d4684be0e286692f4c6c53f4ef688a5479cb8ee122484 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
