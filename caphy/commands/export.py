@@ -40,7 +40,8 @@ class Export:
     poses: Path | None = None
     """With --format: the motion to write, in any format caphy reads."""
     within_mm: float = 0.2
-    """With --format glb and no --poses: as few blend shapes as keep vertices so near those of all of them [mm]."""
+    """With --format glb and no --poses: as few blend shapes as keep vertices so near those of all of them, in postures
+    all over the joints' limits [mm]."""
     motions: tuple[Path, ...] = ()
     """Pose files to fit the head on and, every third, to state its error on; those held out of training by default."""
     body: Path | None = None

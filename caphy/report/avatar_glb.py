@@ -17,13 +17,15 @@ from caphy.conventions import JOINT_NAMES
 from caphy.io.blend_shapes import BlendShapes, blend_shapes, blend_weights
 from caphy.io.bundle import AvatarBundle, BundledGarment, SkinnedMesh
 from caphy.io.procedural import procedural_motion
+from caphy.io.procedural_postures import posture_motion
 from caphy.report.gltf import INDICES, VERTEX_DATA, Gltf
 from caphy.report.render import CLOTH, SKIN, vertex_normals
 
 TOLERANCE: Final = 2e-4
 """Largest distance of a vertex from where all blend shapes put it [m]."""
-FITTED, HELD_OUT = 0, 1
-"""Seeds of the made-up motions that blend shapes left out are averaged over, and that the error is measured on."""
+SEED, SECONDS = 1, 40.0
+"""Of the postures that the error is measured on. On 31 captured clips the bundled avatar's garments are then at most
+1.3 times as far off as is stated; measured on made-up walks, squats and jumps it was 20 times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +47,9 @@ def avatar_glb(bundle: AvatarBundle, tolerance: float | None = TOLERANCE) -> byt
     """The avatar at rest: body and garments, skinned.
 
     Garments have as morph targets the fewest of their network's blend shapes that keep every vertex within
-    ``tolerance`` [m] on a made-up motion, in the network's order, so weights are the first of the network's own; the
-    file's ``extras`` state the error. Without a tolerance they have none, and stand in their template.
+    ``tolerance`` [m] in postures all over the joints' limits, in the network's order, so weights are the first of the
+    network's own; the file's ``extras`` state the error. Without a tolerance they have none, and stand in their
+    template.
     """
     gltf, skin = start_avatar(bundle)
     roots = [0, add_mesh(gltf, "body", bundle.body, skin, colour=SKIN)]
@@ -60,12 +63,12 @@ def avatar_glb(bundle: AvatarBundle, tolerance: float | None = TOLERANCE) -> byt
 def network_morphs(garment: BundledGarment, fps: float, tolerance: float) -> Morphs:
     """The first of a network's blend shapes, as few as keep ``tolerance`` [m]."""
     shapes = blend_shapes(garment)
-    fitted, held_out = (
+    usual, judged = (
         blend_weights(garment, shapes, motion.poses, motion.transl)
-        for motion in (procedural_motion(seed, seconds=10.0, fps=fps) for seed in (FITTED, HELD_OUT))
+        for motion in (procedural_motion(seconds=10.0, fps=fps), posture_motion(SEED, SECONDS, fps))
     )
-    mean = fitted.mean(axis=0)
-    rank, error = _fewest(shapes, held_out - mean, tolerance)
+    mean = usual.mean(axis=0)
+    rank, error = _fewest(shapes, judged - mean, tolerance)
     kept = shapes.first(rank, mean)
     extras = {"worst_vertex_error_mm": round(1e3 * error, 4), "weights_of_network": len(shapes.targets)}
     normals = vertex_normals(kept.base, garment.mesh.faces)
