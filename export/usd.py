@@ -14,6 +14,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.bundle import SkinnedMesh
+from caphy.io.places import writable_file
 from caphy.report.render import CLOTH, SKIN
 from export.motion import DressedMotion
 
@@ -23,14 +24,13 @@ SUFFIXES = (".usdc", ".usda", ".usd")
 def write_usd(motion: DressedMotion, path: Path) -> Path:
     """Write a stage with metres, y up, and the avatar's frame rate as its time codes; whole or not at all.
 
-    Raises CaphyError where usd-core is not installed, or the name is a folder's or does not end in .usdc, .usda, .usd.
+    Raises CaphyError where usd-core is not installed, the name does not end in .usdc, .usda, .usd, or no file can be
+    written there.
     """
     usd = _pxr("Usd")
     if path.suffix not in SUFFIXES:
         raise CaphyError(f"{path}: a USD file's name must end in {', '.join(SUFFIXES)}")
-    if path.is_dir():
-        raise CaphyError(f"{path}: is a folder; choose another name")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    writable_file(path).parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     partial.unlink(missing_ok=True)
     try:
@@ -42,10 +42,17 @@ def write_usd(motion: DressedMotion, path: Path) -> Path:
         stage.GetRootLayer().Save()
         del stage
         partial.replace(path)
+    except (OSError, _pxr("Tf").ErrorException) as error:  # the disk is full by now
+        raise CaphyError(f"{path}: cannot be written ({_reason(error)}); choose another place with --out") from error
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
     return path
+
+
+def _reason(error: Exception) -> str:
+    """What an error says after where in USD's sources it happened."""
+    return str(error).strip().splitlines()[-1].rpartition(" : ")[2].strip("'")
 
 
 def _pxr(name: str) -> Any:

@@ -13,6 +13,7 @@ import tyro
 
 from caphy.body.model import BodyModel
 from caphy.errors import CaphyError
+from caphy.io.places import writable_file
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,7 @@ def _render(command: Render) -> None:
 
     if command.size < 16:
         raise CaphyError(f"--size must be at least 16, got {command.size}")
+    writable_file(command.out, ".png")
     body = load_body(command.body)
     shape = Shape(body.v_template, body.faces)
     views = {"front": 0, "its left": 90, "back": 180, "its right": 270}

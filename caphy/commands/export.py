@@ -13,6 +13,7 @@ from caphy.commands.bundled import bundled
 from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, require_place
+from caphy.io.places import writable_file, writable_folder
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
@@ -110,6 +111,7 @@ def _export_bundle(command: Export) -> None:
     from caphy.io.poses import read_poses
     from export.motion import dressed_motion
 
+    (writable_file if command.format in ("glb", "usd") else writable_folder)(command.out)
     motion = dressed_motion(bundle, read_poses(command.poses))
     print(f"{command.out}: {_write_motion(command, motion)}, {len(motion)} frames at {bundle.fps:g} fps")
 

@@ -159,9 +159,13 @@ def _targets(command: Convert | Condition) -> list[tuple[Path, Path]]:
     writable_folder(command.out).mkdir(parents=True, exist_ok=True)
     pairs = list(zip(command.files, targets, strict=True))
     for path, target in pairs:
-        if target.exists() and path.exists() and target.samefile(path):
-            raise CaphyError(f"{path}: would be overwritten by its conversion; choose another folder with --out")
+        _require_another(path, target)
     return pairs
+
+
+def _require_another(path: Path, target: Path) -> None:
+    if target.exists() and path.exists() and target.samefile(path):
+        raise CaphyError(f"{path}: would be overwritten by what is made of it; choose another place with --out")
 
 
 def _condition(command: Condition) -> None:
@@ -200,7 +204,9 @@ def _render(command: Render) -> None:
 
     if command.frames < 1 or command.size < 16:
         raise CaphyError(f"--frames must be at least 1 and --size 16, got {command.frames} and {command.size}")
-    writable_file(command.out).parent.mkdir(parents=True, exist_ok=True)
+    for path in command.files:
+        _require_another(path, command.out)
+    writable_file(command.out, ".png").parent.mkdir(parents=True, exist_ok=True)
     images, labels = [], []
     for path in command.files:
         sequence = command.source.read(path)

@@ -14,6 +14,7 @@ import tyro
 from caphy.commands.following import following
 from caphy.commands.made_labels import MadeLabels
 from caphy.errors import CaphyError
+from caphy.io.places import writable_file
 
 if TYPE_CHECKING:
     from caphy.scan.scan import Scan
@@ -55,10 +56,12 @@ def label(command: Segment) -> dict[str, str]:
     """Label scans; the names of those that could not be, and why.
 
     Raises:
-        CaphyError: none could, or labels would be read and written in one place.
+        CaphyError: none could, labels would be read and written in one place, or the picture's name is no PNG's.
     """
     from caphy.scan.scan_set import ScanSet
 
+    if command.render is not None:
+        writable_file(command.render, ".png")
     scans = ScanSet.read(command.scans)
     out = command.out or command.scans / "labels"
     by_itself = out.resolve() == (scans.labels or command.scans / "labels").resolve()

@@ -23,7 +23,7 @@ def writable_file(path: Path, suffix: str = "", inputs: Iterable[str | Path] = (
     """
     path = Path(path)
     if path.suffix.lower() != (suffix or path.suffix.lower()):
-        raise CaphyError(f"{path}: what is written there is a {suffix} file; give a name that ends so")
+        raise CaphyError(f"{path}: what is written there is {suffix[1:].upper()}, so its name must end in {suffix}")
     if path.exists() and any(Path(each).exists() and path.samefile(each) for each in inputs):
         raise CaphyError(f"{path}: is read, and would be replaced by what is written; give another name")
     if path.is_dir():

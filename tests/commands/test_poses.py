@@ -69,6 +69,24 @@ def test_render_writes_a_picture(clip, tmp_path):
     assert image[:96].std() > 10  # there is something to see
 
 
+def test_render_overwrites_no_motion_and_writes_no_picture_under_another_name(clip, tmp_path, capsys):
+    before = clip.read_bytes()
+    assert main(["poses", "render", str(clip), "--out", str(clip)]) == 2
+    assert f"{clip}: would be overwritten" in capsys.readouterr().err
+    assert clip.read_bytes() == before
+    for name in ("sheet.jpg", "sheet", "other.npz"):
+        assert main(["poses", "render", str(clip), "--out", str(tmp_path / name)]) == 2
+        assert "must end in .png" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [clip]
+
+
+@pytest.mark.parametrize("rate", ["0", "nan", "1e9", "-30"])
+def test_rates_that_none_can_be_resampled_to_are_refused_by_their_name(clip, tmp_path, capsys, rate):
+    assert main(["poses", "convert", str(clip), "--out", str(tmp_path / "o"), f"--resample={rate}"]) == 2
+    said = capsys.readouterr().err
+    assert "got" in said and "--resample RATE" in said and "--fps" not in said
+
+
 def test_errors_are_one_line_and_status_two(tmp_path, capsys):
     assert main(["poses", "info", str(tmp_path / "none.bvh")]) == 2
     assert capsys.readouterr().err.strip() == f"caphy poses: {tmp_path / 'none.bvh'}: no such file"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,6 +70,15 @@ def test_usd_passes_pixars_validators(dressed, tmp_path):
 def test_usd_names_end_as_usd_names_do(dressed, tmp_path):
     with pytest.raises(CaphyError, match=r"\.usdc"):
         write_usd(dressed, tmp_path / "walk.abc")
+
+
+def test_usd_that_cannot_be_written_is_told_in_words(dressed, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CaphyError, match=r"walk\.usdc: cannot be written, since .*file is a file"):
+        write_usd(dressed, tmp_path / "file" / "walk.usdc")
+    monkeypatch.setattr("export.usd.writable_file", lambda path: path)  # as where the disk is full by then
+    with pytest.raises(CaphyError, match=r"walk\.usdc: cannot be written \(Unable to open [^']*\); choose another"):
+        write_usd(dressed, Path("/proc/walk.usdc"))
 
 
 def test_pc2_is_laid_out_as_blender_reads_it(dressed, served, tmp_path):

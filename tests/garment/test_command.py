@@ -68,12 +68,12 @@ def test_nothing_that_is_read_is_replaced(tmp_path, capsys):
     (tmp_path / "linked.npz").symlink_to(made)
     before = made.read_bytes(), poses.read_bytes()
     for command, says in (
-        (["garment", "from-mesh", str(mesh), "-o", str(mesh)], "what is written there is a .npz file"),
+        (["garment", "from-mesh", str(mesh), "-o", str(mesh)], "must end in .npz"),
         (["simulate", str(made), str(poses), "-o", str(made)], "is read, and would be replaced"),
         (["simulate", str(made), str(poses), "-o", str(poses)], "is read, and would be replaced"),
         (["simulate", str(made), str(poses), "-o", str(tmp_path / "linked.npz")], "is read, and would be replaced"),
-        (["simulate", str(made), str(poses), "--render", str(poses)], "is a .png file"),
-        (["garment", "render", str(made), "-o", str(made)], "is a .png file"),
+        (["simulate", str(made), str(poses), "--render", str(poses)], "must end in .png"),
+        (["garment", "render", str(made), "-o", str(made)], "must end in .png"),
     ):
         assert main(command) == 2
         assert says in capsys.readouterr().err

@@ -118,6 +118,9 @@ def test_an_argument_that_is_empty_is_no_place(capsys):
         ["compare", "snug", "walk.npz", "-o", "file"],
         ["diagnose", "snug", "walk.npz", "-o", "file"],
         ["train", "tshirt", "walk.npz", "-o", "file"],
+        ["export", "default", "--format", "usd", "--poses", "walk.npz", "-o", "file/walk.usdc"],
+        ["export", "default", "--format", "glb", "--poses", "walk.npz", "-o", "/proc/walk.glb"],
+        ["export", "default", "--format", "pc2", "--poses", "walk.npz", "-o", "file"],
     ],
 )
 def test_commands_refuse_them_in_words(arguments, tmp_path, monkeypatch, capsys):
@@ -126,6 +129,26 @@ def test_commands_refuse_them_in_words(arguments, tmp_path, monkeypatch, capsys)
     np.savez(tmp_path / "walk.npz", poses=np.zeros((9, 165)), trans=np.zeros((9, 3)), mocap_frame_rate=30.0)
     assert main(arguments) == 2
     assert "choose another place" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["poses", "render", "walk.npz", "--out", "sheet.jpg"],
+        ["body", "render", "--out", "sheet.jpg"],
+        ["garment", "render", "snug.npz", "-o", "walk.npz"],
+        ["scans", "render", "scans", "--output", "walk.npz"],
+        ["segment", "scans", "--render", "walk.npz"],
+        ["simulate", "tshirt", "walk.npz", "--render", "walk.npz"],
+    ],
+)
+def test_pictures_have_a_pngs_name(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez(tmp_path / "walk.npz", poses=np.zeros((9, 165)), trans=np.zeros((9, 3)), mocap_frame_rate=30.0)
+    before = sorted(tmp_path.rglob("*")), (tmp_path / "walk.npz").read_bytes()
+    assert main(arguments) == 2
+    assert "must end in .png" in capsys.readouterr().err
+    assert (sorted(tmp_path.rglob("*")), (tmp_path / "walk.npz").read_bytes()) == before
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ class PoseSequence:
 
     def resample(self, fps: float) -> PoseSequence:
         """The motion at another frame rate: rotations by slerp, translation linear; never past the last frame."""
-        require_rate(fps, self.source)
+        require_rate(fps, self.source, "resample to another rate, as with 'caphy poses convert --resample RATE'")
         if fps == self.fps or len(self) == 1:
             return replace(self, fps=fps)
         count = int(np.floor(self.duration * fps + 1e-6)) + 1
@@ -264,13 +264,13 @@ def concatenate(sequences: list[PoseSequence]) -> PoseSequence:
     )
 
 
-def require_rate(fps: float, where: str) -> None:
-    """Raise :class:`CaphyError` where ``fps`` [Hz] is no motion's frame rate."""
+def require_rate(fps: float, where: str, way: str = "give the true rate with 'caphy poses convert --fps RATE'") -> None:
+    """Raise :class:`CaphyError`, which tells the ``way`` out, where ``fps`` [Hz] is no motion's frame rate."""
     if not RATES[0] <= fps <= RATES[1]:
         hint = f"; is it the time of a frame, of {1 / fps:g} frames per second?" if 0 < fps < RATES[0] else ""
         raise CaphyError(
             f"{where}: fps must lie between {RATES[0]:g} and {RATES[1]:g} frames per second, got {fps:g}"
-            + (hint or "; give the true rate with 'caphy poses convert --fps RATE'")
+            + (hint or f"; {way}")
         )
 
 
