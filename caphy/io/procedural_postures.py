@@ -25,7 +25,8 @@ def posture_motion(seed: int = 0, seconds: float = 20.0, fps: float = 30.0) -> P
     count = round(seconds * fps) + 1
     step = np.arange(count) / fps / HOLD
     before, share = step.astype(int), (step % 1)[:, None, None]
-    postures = np.random.default_rng(seed).uniform(*np.moveaxis(ranges, -1, 0), (before[-1] + 2, *ranges.shape[:2]))
+    size = (int(before[-1]) + 2, *ranges.shape[:2])
+    postures = np.random.default_rng(seed).uniform(ranges[..., 0], ranges[..., 1], size)
     angles = postures[before] + (postures[before + 1] - postures[before]) * share**2 * (3 - 2 * share)
     rotations = (
         axis_rotations(0, angles[..., 0]) @ axis_rotations(1, angles[..., 1]) @ axis_rotations(2, angles[..., 2])
