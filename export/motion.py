@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -53,16 +52,3 @@ def dressed_motion(bundle: AvatarBundle, motion: PoseSequence) -> DressedMotion:
         engine = GarmentEngine(garment)
         vertices[garment.name], _ = engine.run(poses, transl, engine.initial_state())
     return DressedMotion(bundle, poses, transl, vertices)
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name, then rename it; raises CaphyError where that cannot be done."""
-    partial = path.with_name(path.name + ".partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(content)
-        partial.replace(path)
-    except OSError as error:
-        raise CaphyError(f"{path}: cannot be written ({error.strerror}); choose another place with --out") from error
-    finally:
-        partial.unlink(missing_ok=True)

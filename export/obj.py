@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from caphy.errors import CaphyError
-from export.motion import DressedMotion, write_whole
+from caphy.io.places import write_bytes
+from export.motion import DressedMotion
 
 
 def obj_bytes(name: str, vertices: np.ndarray, faces: np.ndarray) -> bytes:
@@ -36,5 +37,5 @@ def write_obj_sequence(motion: DressedMotion, folder: Path) -> list[Path]:
     for name, mesh, vertices in motion.meshes():
         for frame, points in enumerate(vertices):
             written.append(folder / f"{name}_{frame:0{digits}}.obj")
-            write_whole(written[-1], obj_bytes(name, points, mesh.faces))
+            write_bytes(written[-1], obj_bytes(name, points, mesh.faces))
     return written

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from export.motion import DressedMotion, write_whole
+from caphy.io.places import write_bytes
+from export.motion import DressedMotion
 from export.obj import obj_bytes
 
 HEADER = struct.Struct("<12siiffi")
@@ -29,6 +30,6 @@ def write_pc2(motion: DressedMotion, folder: Path) -> list[Path]:
     written = []
     for name, mesh, vertices in motion.meshes():
         written += [folder / f"{name}.obj", folder / f"{name}.pc2"]
-        write_whole(written[-2], obj_bytes(name, vertices[0], mesh.faces))
-        write_whole(written[-1], pc2_bytes(vertices))
+        write_bytes(written[-2], obj_bytes(name, vertices[0], mesh.faces))
+        write_bytes(written[-1], pc2_bytes(vertices))
     return written

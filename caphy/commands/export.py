@@ -13,7 +13,7 @@ from caphy.commands.bundled import bundled
 from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, require_place
-from caphy.io.places import writable_file, writable_folder
+from caphy.io.places import writable_file, writable_folder, write_bytes
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
@@ -93,7 +93,6 @@ def _export_again(command: Export) -> None:
 def _export_bundle(command: Export) -> None:
     from caphy.io.bundle import read_bundle
     from caphy.report.avatar_glb import avatar_glb
-    from export.motion import write_whole
 
     if len(command.runs) != 1:
         raise CaphyError(f"--format {command.format} takes one avatar bundle, got {len(command.runs)} folders")
@@ -106,7 +105,7 @@ def _export_bundle(command: Export) -> None:
         if not command.within_mm >= 0:
             raise CaphyError(f"--within-mm must not be negative, got {command.within_mm}")
         content = avatar_glb(bundle, 1e-3 * command.within_mm)
-        write_whole(command.out, content)
+        write_bytes(command.out, content)
         print(f"{command.out}: the avatar with its blend shapes, {len(content) / 1e6:.1f} MB")
         return
     from caphy.io.poses import read_poses
@@ -121,10 +120,9 @@ def _write_motion(command: Export, motion: DressedMotion) -> str:
     """Write the motion; returns what was written, in words."""
     if command.format == "glb":
         from export.glb import animated_glb
-        from export.motion import write_whole
 
         made = animated_glb(motion.bundle, motion.poses, motion.transl, motion.vertices)
-        write_whole(command.out, made.content)
+        write_bytes(command.out, made.content)
         return f"animated GLB, vertices within {1e3 * max(made.errors.values()):.2f} mm of the service's"
     if command.format == "usd":
         from export.usd import write_usd
