@@ -192,6 +192,11 @@ def register_file(path: Path) -> list[str]:
     return [effect.name for effect in effects]
 
 
+def file_of(name: str) -> Path | None:
+    """The file that an effect of one's own comes from; none of those that come along."""
+    return _file_of.get(name) if name in _from_files else None
+
+
 def _require_own_modules(path: Path) -> None:
     """Raises :class:`CaphyError` where ``import helper`` would give an effect file the helper of another one."""
     folder = path.resolve().parent

@@ -9,7 +9,7 @@ import numpy as np
 from caphy.io.measurements import Measurement
 from caphy.measure.covariates import Covariate, covariates
 from caphy.measure.errors import Errors, SurfaceErrors, surface_errors, vertex_errors
-from caphy.measure.noise import measurement_noise, overstated
+from caphy.measure.noise import measurement_noise, overstated, understated
 from caphy.measure.prediction import Prediction
 from caphy.measure.sentences import sentences
 from caphy.measure.statistics import MILLI, binned, chances, contrast, interval, mean_mm, summary
@@ -75,7 +75,7 @@ def _about(measurement: Measurement) -> dict:
         "frames_seen": len(measurement.seen_frames),
         "registered": measurement.registered,
         "holes": float(1 - measurement.observed[measurement.seen_frames].mean()) if measurement.registered else None,
-        "notes": [*measurement.notes, *filter(None, [overstated(measurement)])],
+        "notes": [*measurement.notes, *filter(None, [overstated(measurement), understated(measurement)])],
     }
 
 

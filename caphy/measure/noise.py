@@ -23,6 +23,7 @@ _NEIGHBOURS = 12  # that a plane is laid through, at least
 _FLAT = 5.0  # times as much scatter along the plane as across it; less is a ball of noise, no piece of cloth
 _REACH = 0.04  # metres: farther apart points lie on different parts of curved cloth
 _OVERSTATED = 3.0
+_UNDERSTATED, _PLAIN = 10.0, 5e-4  # times, and metres of scatter, of which brisk motion alone makes less
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,18 @@ def overstated(measurement: Measurement) -> str | None:
     return (
         f"{measurement.name} states noise of {1e3 * stated.sigma:.3g} mm but scatters by {1e3 * seen.sigma:.2g} mm; "
         "what it says is believed, and hides effects that are smaller"
+    )
+
+
+def understated(measurement: Measurement) -> str | None:
+    """Doubt in words where a file states far less noise than its data scatter by, and noise is taken for an error."""
+    stated = measurement_noise(measurement)
+    seen = None if stated is None or not stated.source.startswith("stated") else scatter(measurement)
+    if stated is None or seen is None or seen.sigma <= max(_UNDERSTATED * stated.sigma, _PLAIN):
+        return None
+    return (
+        f"{measurement.name} states noise of {1e3 * stated.sigma:.2g} mm but scatters by {1e3 * seen.sigma:.2g} mm "
+        "even where it moves least; what it says is believed (noise_mm is in millimetres, noise in metres)"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from caphy.io.measurements import Measurement
-from caphy.measure.noise import overstated
+from caphy.measure.noise import overstated, understated
 from caphy.measure.pace import slowed
 from caphy.measure.size import misfitting
 from caphy.measure.strays import torn
@@ -16,7 +16,7 @@ def remarks(measurements: Iterable[Measurement]) -> list[str]:
     show, whose rest mesh is of another size, and whose vertices lie far from their neighbours."""
     said: dict[str, list[str]] = {}
     given = list(measurements)
-    for say in (slowed, overstated, misfitting, torn):
+    for say in (slowed, overstated, understated, misfitting, torn):
         for each in given:
             if (note := say(each)) is not None:
                 said.setdefault(note.removeprefix(f"{each.name} "), []).append(each.name)

@@ -14,6 +14,7 @@ from caphy.conventions import GRAVITY
 from caphy.effects.base import BodyState, Step
 from caphy.effects.body_contact import BodyContact, braked
 from caphy.effects.potential import Potential
+from caphy.effects.registry import file_of
 from caphy.errors import Diverged
 from caphy.solve.assembly import Hessian
 from caphy.solve.factorize import Factor
@@ -249,7 +250,13 @@ class Newton:
             return f"{must}; check pose, garment and model"
         energies = self.potential.energies(here.x, step, here.body)
         wrong = [name for name, energy in energies.items() if not bool(energy.isfinite())]
-        return f"{must}, but {' and '.join(wrong) or 'a force'} is not there; check pose, garment and model"
+        own = [f"{name} in {file}" for name in wrong if (file := file_of(name)) is not None]
+        check = (
+            f"look for what is not defined for this cloth in {' and '.join(own)}"
+            if own
+            else "check pose, garment and model"
+        )
+        return f"{must}, but {' and '.join(wrong) or 'a force'} is not there; {check}"
 
     def _followed(self, there: _Point, step: Step | None, planes: _Planes) -> _Point:
         """A trial state as it is seen once contact planes have followed it."""

@@ -28,6 +28,14 @@ def test_single_vertices_that_are_elsewhere_are_doubted(noise_mm):
     assert torn(replace(seen, vertices=lost, visibility=np.arange(lost.shape[1]) != 7 + 0 * lost[..., 0])) is None
 
 
+def test_places_that_a_rest_mesh_lists_twice_are_refused():
+    sheet = swinging()
+    rest = sheet.rest_vertices.copy()
+    rest[8] = rest[7]
+    with pytest.raises(CaphyError, match="rest_vertices 7 and 8 lie on one another and an edge joins them"):
+        require_plausible(replace(sheet, rest_vertices=rest))
+
+
 def test_a_number_that_stands_for_nothing_is_refused():
     sheet = swinging()
     lost = sheet.vertices.copy()

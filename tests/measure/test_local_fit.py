@@ -7,7 +7,8 @@ import pytest
 
 from caphy.io.measurements import Measurement
 from caphy.measure.local_fit import cubic_residuals, local_quadratic
-from caphy.measure.noise import MEDIAN_NORM, P95_NORM, measurement_noise, overstated
+from caphy.measure.noise import MEDIAN_NORM, P95_NORM, measurement_noise, overstated, understated
+from caphy.measure.remarks import remarks
 
 FACES = np.array([[0, 1, 2]])
 
@@ -99,6 +100,18 @@ def test_noise_that_the_data_do_not_show_is_doubted(stated_mm, doubted):
         said = overstated(measurement)
         assert (said is not None) == doubted
         assert said is None or "m states noise of 50 mm but scatters by 1" in said or "by 0.9" in said
+
+
+@pytest.mark.parametrize(
+    ("stated_mm", "doubted"), [(0.001, True), (0.0, True), (0.3, False), (1.0, False), (None, False)]
+)
+def test_less_noise_than_the_data_show_is_doubted(stated_mm, doubted):
+    """As where it was given in metres."""
+    track = Measurement("m", 30.0, vertices=tracks(sigma=0.001), faces=FACES, noise_mm=stated_mm)
+    said = understated(track)
+    assert (said is not None) == doubted
+    assert said is None or "mm but scatters by 1" in said or "by 0.9" in said
+    assert (said in remarks([track])) == doubted
 
 
 def test_lengths_of_noise():

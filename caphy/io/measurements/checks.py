@@ -31,6 +31,9 @@ JUMP: Final = 0.05
 """Share of a cloth's size by which the median vertex of a frame is away from the middle between its neighbours ..."""
 VIOLENT: Final = 200.0
 """... and the acceleration [m/s^2] which that is, that no cloth has."""
+ASIDE, LIKE = 6.0, 0.25
+"""Times the median over frames by which a frame out of place is away from that middle, or more, and share of this by
+which its neighbours' own may differ from what it does to them."""
 TORN: Final = 4.0
 """Ratio of the longest tenth of one frame's edges to the shortest, over their lengths at rest, that no cloth has."""
 FAR: Final = 3.0
@@ -58,6 +61,7 @@ def require_plausible(measurement: Measurement, axes_stated: bool = True) -> Non
         _require_no_repeats(measurement)
         _require_order(measurement)
         _require_no_jump(measurement)
+        _require_edges(measurement)
         require_pins(measurement)
     else:
         _require_ordered_clouds(measurement)
@@ -133,6 +137,19 @@ def edges_at_rest(measurement: Measurement) -> tuple[np.ndarray, np.ndarray, np.
         return None
     a, b = mesh_edges(measurement.faces).T
     return a, b, np.linalg.norm(measurement.rest_vertices[a] - measurement.rest_vertices[b], axis=1)
+
+
+def _require_edges(measurement: Measurement) -> None:
+    """No edge of the rest mesh has its ends in one place."""
+    if (known := edges_at_rest(measurement)) is None:
+        return
+    a, b, rest = known
+    short = np.flatnonzero(rest < 1e-6 * _size(measurement))
+    if len(short):
+        raise measurement.error(
+            f"rest_vertices {a[short[0]]} and {b[short[0]]} lie on one another and an edge joins them ({len(short)} "
+            "such edges in all); merge them, or put one right"
+        )
 
 
 def _require_same_pattern(measurement: Measurement) -> None:
@@ -332,7 +349,8 @@ def _require_no_jump(measurement: Measurement) -> None:
     away = np.zeros(len(between))
     away[known] = np.nanmedian(between[known], axis=1)
     worst = int(np.argmax(away))
-    if away[worst] < JUMP * _size(measurement) or 2 * away[worst] * measurement.fps**2 < VIOLENT:
+    violent = away[worst] >= JUMP * _size(measurement) and 2 * away[worst] * measurement.fps**2 >= VIOLENT
+    if not violent and not _alone(x, known, away, worst):
         return
     place, by = worst + 1, away[worst]
     if worst == 0 and away[1] < 0.25 * by:  # it is the first frame that is wrong, not the second
@@ -343,6 +361,26 @@ def _require_no_jump(measurement: Measurement) -> None:
         f"frame {frames[place]} lies elsewhere than the frames around it say, by {by:.2g} m in the median of its "
         "vertices; put its unit, place and order right, or leave it empty (NaN)"
     )
+
+
+def _alone(x: np.ndarray, known: np.ndarray, away: np.ndarray, worst: int) -> bool:
+    """Whether one frame of tracks (T, V, 3) [m] lies aside by itself, far more than most.
+
+    Cloth that is pushed goes on from where it is; only a frame out of place leaves its neighbours half as far off, the
+    other way.
+
+    Args:
+        known: of frames 1 to T - 2, which have neighbours (T - 2,).
+        away: how far each is from the middle between them [m].
+        worst: which of those is farthest.
+    """
+    if not 0 < worst < len(away) - 1 or not known[worst - 1 : worst + 2].all():
+        return False
+    if away[worst] < ASIDE * np.median(away[known]):
+        return False
+    aside = x[1:-1][worst - 1 : worst + 2] - 0.5 * (x[:-2] + x[2:])[worst - 1 : worst + 2]
+    left = np.linalg.norm(aside[[0, 2]] + 0.5 * aside[1], axis=-1)
+    return bool((np.nanmedian(left, axis=1) < LIKE * away[worst]).all())
 
 
 def _require_hanging(measurement: Measurement) -> None:

@@ -197,7 +197,12 @@ def _plots(figures: dict, floor: float | None) -> list[tuple[str, str]]:
     shown = [("By region", plots.bar_plot("Error by region", regions[:_PLOTTED_REGIONS], floor))]
     parts = _directions(figures["error"])
     if parts:
-        shown.append(("By direction", plots.bar_plot("Error by direction", parts, None)))
+        shown.append(
+            (
+                "By direction",
+                plots.bar_plot("Error by direction", parts, None, "mm: median, or mean where that is said"),
+            )
+        )
     if figures["by_lag"]:
         shown.append(("After a restart", plots.lag_plot(figures["by_lag"], floor)))
     for row in sorted(figures["by_covariate"], key=_importance):
