@@ -60,7 +60,9 @@ def write_scaffold(name: str, path: Path) -> None:
         CaphyError: the name is no lower-case Python name or taken, or the file exists or cannot be written.
     """
     if not (name.isidentifier() and name == name.lower()) or keyword.iskeyword(name):
-        raise CaphyError(f"the name of an effect must be like my_effect (lower case, no spaces), got {name!r}")
+        raise CaphyError(
+            f"the name of an effect must be like my_effect (lower case, no spaces, no word of Python's), got {name!r}"
+        )
     if name in registered_effects():
         raise CaphyError(f"there already is an effect {name!r}; give yours another name")
     words = name.strip("_").split("_")

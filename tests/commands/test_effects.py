@@ -115,7 +115,7 @@ def test_a_new_effect_works_as_it_is_begun(tmp_path: Path, capsys: pytest.Captur
     [
         ("gravity", "there already is an effect 'gravity'"),
         ("Sticky", "lower case"),
-        ("lambda", "lower case"),
+        ("lambda", "no word of Python's"),
         ("two words", "lower case"),
     ],
 )
