@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -53,20 +53,19 @@ class Revision:
         }
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Revision:
-        """Inverse of :meth:`to_dict`; raises CaphyError where it does not follow it."""
+    def from_dict(cls, data: Mapping[str, Any], number: int) -> Revision:
+        """Inverse of :meth:`to_dict`; raises CaphyError, naming the revision's ``number``, for what is none."""
         try:
-            errors = {name: _metres(data["held_out_error_mm"][name]) for name in ("before", "after", "floor")}
-            parameters = {str(name): (before, after) for name, (before, after) in data["parameters"].items()}
-            names = (tuple(map(str, data[key])) for key in ("added", "removed", "data"))
-            added, removed, measured = names
+            errors = {name: _metres(data["held_out_error_mm"][name], name) for name in ("before", "after", "floor")}
+            parameters = {name: _before_and_after(values, name) for name, values in data["parameters"].items()}
+            date, note = (_text(data[key], key) for key in ("date", "note"))
+            added, removed, measured = (_texts(data[key], key) for key in ("added", "removed", "data"))
             return cls(
-                str(data["date"]), str(data["note"]), added, removed, parameters, measured,
-                errors["before"], errors["after"], errors["floor"],
-            )  # fmt: skip
+                date, note, added, removed, parameters, measured, errors["before"], errors["after"], errors["floor"]
+            )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CaphyError(
-                f"its history holds an entry that is no revision ({error!r}); mend it or delete 'history'"
+                f"its history's entry {number} is no revision ({error!r}); mend it or delete 'history'"
             ) from error
 
 
@@ -89,15 +88,51 @@ def history_rows(history: Iterable[Revision]) -> list[tuple[str, ...]]:
         first, *rest = moved or ["-"]
         rows.append((str(number), revision.date, revision.note, first, error, floor, data))
         rows += [("", "", "", line, "", "", "") for line in rest]
-    return rows
+    return [tuple(map(_in_one_line, row)) for row in rows]
 
 
-def _metres(value: Any) -> float | None:
+def _in_one_line(text: str) -> str:
+    """A text whose line breaks and control characters are written out: terminals obey them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def _text(value: Any, key: str) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{key} must be a text, got {_got(value)}")
+    return value
+
+
+def _texts(value: Any, key: str) -> tuple[str, ...]:
+    if not isinstance(value, list):
+        raise TypeError(f"{key} must be a list of texts, got {_got(value)}")
+    return tuple(_text(entry, key) for entry in value)
+
+
+def _before_and_after(pair: Any, key: str) -> tuple[Value, Value]:
+    if not isinstance(pair, list) or len(pair) != 2 or not all(value is None or _is_numbers(value) for value in pair):
+        raise TypeError(f"{key} must be two values, numbers or null each, got {_got(pair)}")
+    return pair[0], pair[1]
+
+
+def _is_numbers(value: Any) -> bool:
+    """Whether it is a finite number or nested lists of such, as many in each."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of several lengths
+        return False
+    return array.dtype.kind in "if" and bool(np.isfinite(array).all())
+
+
+def _metres(value: Any, key: str) -> float | None:
     if value is None:
         return None
-    if not math.isfinite(value) or value < 0:
-        raise ValueError(f"an error must be finite and not negative, got {value}")
+    if not _is_numbers(value) or np.ndim(value) or value < 0:
+        raise TypeError(f"the held-out error {key} must be a finite number, not negative, got {_got(value)}")
     return float(value) / 1e3
+
+
+def _got(value: Any) -> str:
+    return json.dumps(value)[:80]
 
 
 def _plain(value: Value) -> Value:

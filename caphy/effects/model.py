@@ -142,7 +142,7 @@ class Model:
             for name, values in data["effects"].items():
                 if not isinstance(values, dict):
                     raise TypeError(f"the parameters of {name} must be an object, got {json.dumps(values)}")
-            history = tuple(Revision.from_dict(entry) for entry in data.get("history", ()))
+            history = tuple(Revision.from_dict(entry, n) for n, entry in enumerate(data.get("history", ()), 1))
             return cls(float(density), data["effects"], history)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise CaphyError(

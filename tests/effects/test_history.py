@@ -81,6 +81,44 @@ def test_a_damaged_history_is_refused(entry, tmp_path):
         Model.load(path)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("parameters", {"a": ["x", "y"]}, 'a must be two values, numbers or null each, got ["x", "y"]'),
+        ("parameters", {"a": [{"b": 1}, {"c": 2}]}, "a must be two values"),
+        ("parameters", {"a": [[1, [2, 3]], [1]]}, "a must be two values"),
+        ("parameters", {"a": [True, 1.0]}, "a must be two values"),
+        ("parameters", {"a": [float("nan"), 1.0]}, "a must be two values"),
+        ("parameters", {"a": [10**400, 1.0]}, "a must be two values"),
+        ("parameters", {"a": [1, 2, 3]}, "a must be two values"),
+        ("added", "abc", 'added must be a list of texts, got "abc"'),
+        ("data", [1], "data must be a text, got 1"),
+        ("date", None, "date must be a text, got null"),
+        ("note", 3, "note must be a text, got 3"),
+        ("held_out_error_mm", {"before": 1, "after": 1, "floor": 10**400}, "error floor must be a finite number"),
+        (
+            "held_out_error_mm",
+            {"before": True, "after": 1, "floor": 0},
+            "the held-out error before must be a finite number, not negative, got true",
+        ),
+    ],
+)
+def test_what_a_history_written_by_hand_says_wrongly_is_told(tmp_path, capsys, key, value, says):
+    first, second = (Revision("2026-01-01", "x").to_dict() for _ in range(2))
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps(json.loads(snug_model().to_json()) | {"history": [first, second | {key: value}]}))
+    assert main(["effects", "history", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert f"{path}: its history's entry 2 is no revision" in told and says in told
+
+
+def test_a_note_is_shown_in_one_line_and_moves_no_terminal(tmp_path, capsys):
+    path = tmp_path / "model.json"
+    path.write_text(snug_model().revised(snug_model(), "a\nb\x1b[31mred\ud800 \u00e9").to_json())
+    assert main(["effects", "history", str(path)]) == 0
+    assert r"a\nb\x1b[31mred\ud800 é" in capsys.readouterr().out
+
+
 def test_the_command_shows_it(tmp_path, capsys):
     path = tmp_path / "model.json"
     path.write_text(refitted().to_json())
