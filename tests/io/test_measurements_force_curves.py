@@ -76,6 +76,23 @@ def test_a_strip_that_is_let_go_and_cells_that_are_empty(tmp_path):
             "axial_strain,force_per_width_N_per_m\n0,0\n.1,1\n.2,2\n0,0\n.1,3\n.21,6\n",
             "more than one loading; number them",
         ),
+        (
+            'axial_strain,force_per_width_N_per_m\n0,0\n"' + 20000 * "0.1,10\n",
+            "bad.csv: line 3: field larger than .* is a quotation mark left open there",
+        ),
+        (
+            "axial_strain,transverse_strain,force_per_width_N_per_m\n0,0,0\n.5,-.6,1\n1,-1.25,2\n",
+            "transverse strains must be above -1, .* got -1.25; divide percent by 100",
+        ),
+        ("axial_strain,force_per_width_N_per_m\n0,0\n-.5,1\n-1,2\n", "axial strains must be above -1, .* got -1;"),
+        (
+            "axial_strain,transverse_strain,force_per_width_N_per_m\n0,0,0\n.015,,1\n.02,-.6,1\n.025,-.75,2\n",
+            "transverse strains must be at most 5 times .* got 30 times .*; percent beside fractions",
+        ),
+        (
+            "axial_strain,force_per_width_N_per_m\n0,0\n\nnan,1\n",
+            "line 4: axial_strain must be finite, got 'nan'",
+        ),
         ("direction,axial_strain,force_per_width_N_per_m\nup,0,0\nup,0.1,1\nup,0.2,2\n", "'weft' or 'warp', got 'up'"),
     ],
 )
@@ -84,3 +101,31 @@ def test_what_is_wrong_with_a_table_is_told(tmp_path, text, says):
     path.write_text(text)
     with pytest.raises(CaphyError, match=says):
         read_force_curves(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"gauge_len_mm": "0"}, "line 4: gauge_len_mm must be a length above 0 .mm., got '0'"),
+        ({"gauge_len_mm": "-91.6"}, "line 4: gauge_len_mm must be a length above 0 .mm., got '-91.6'"),
+        ({"pin_transverse_mm": "0"}, "line 4: pin_transverse_mm must be a length above 0"),
+        ({"gauge_len_mm": "nan"}, "line 4: gauge_len_mm must be finite, got 'nan'"),
+        ({"video": "video0"}, "line 4: the number in video must be 1 for the first loading .* got '0'"),
+    ],
+)
+def test_what_is_wrong_with_a_table_of_knits_is_told(tmp_path, changed, says):
+    rows = [
+        {"sample": "rib_X", "video": "video1", "force_per_width_N_per_m": f"{20 * k}", "gauge_len_mm": f"{90 + k}",
+         "pin_transverse_mm": f"{50 - k}"} for k in range(4)
+    ]  # fmt: skip
+    path = tmp_path / "knit.csv"
+    for last, error in (({}, None), (changed, says)):
+        with path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows([*rows[:2], rows[2] | last, rows[3]])
+        if error is None:
+            assert read_force_curves(path)[0].loading == 1
+        else:
+            with pytest.raises(CaphyError, match=error):
+                read_force_curves(path)

@@ -17,6 +17,10 @@ NAMES: Final = ("fabric", "direction", "loading")
 KNIT_COLUMNS: Final = ("sample", "video", "force_per_width_N_per_m", "gauge_len_mm", "pin_transverse_mm")
 _RATIO: Final = 0.5  # smallest strain of a curve from which on lengths over rest lengths were given
 _LONGEST: Final = 3.0  # strain; real knits of a test reach 2.04
+_NARROWS: Final = 5.0
+"""Times its axial strain by which no strip narrows; real knits of a test do by up to 0.53."""
+_ACROSS: Final = ("transverse_strain", "pin_transverse_mm")
+"""Columns that may be NaN."""
 _AGAIN: Final = 0.5
 """Share of its largest strain by which a curve that falls and rises again is more than one."""
 UNLOADED: Final = 1.0
@@ -30,7 +34,8 @@ _Row = tuple[int, Mapping[str, str]]
 class ForceCurve:
     """One loading of one strip of cloth.
 
-    Raises :class:`CaphyError` where columns differ in length, are not finite, or look like percent or millimetres.
+    Raises :class:`CaphyError` where columns differ in length, are not finite, look like percent or millimetres, or
+    would leave nothing of the strip's length or width.
     """
 
     fabric: str
@@ -73,6 +78,20 @@ class ForceCurve:
                     f"{where}: {name} strains must be fractions (0.1 for 10 %), got {most:.3g}; divide percent by 100; "
                     "a strain is a length over the rest length, less one"
                 )
+            least = float(np.nanmin(columns[name], initial=0))
+            if least <= -1:
+                raise CaphyError(
+                    f"{where}: {name} strains must be above -1, where no length is left, got {least:.3g}; divide "
+                    "percent by 100; a strain is a length over the rest length, less one"
+                )
+        pulled = (self.axial > 0.5 * self.axial.max()) & np.isfinite(self.transverse)
+        across = np.abs(self.transverse[pulled]) / self.axial[pulled]
+        if len(across) and np.median(across) > _NARROWS:
+            raise CaphyError(
+                f"{where}: transverse strains must be at most {_NARROWS:g} times as large as axial ones, got "
+                f"{np.median(across):.3g} times in the median of rows above half of the largest strain; percent beside "
+                "fractions? Give both as fractions (0.1 for 10 %)"
+            )
 
     @property
     def name(self) -> str:
@@ -93,7 +112,12 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:  # as Excel writes it
             reader = csv.DictReader(file)
-            table = [(reader.line_num, row) for row in reader]
+            try:
+                table = [(reader.line_num, row) for row in reader]
+            except csv.Error as error:
+                raise CaphyError(
+                    f"{path}: line {reader.line_num + 1}: {error}; is a quotation mark left open there?"
+                ) from error
     except (OSError, UnicodeDecodeError) as error:
         raise CaphyError(f"{path}: cannot be read: {error}") from error
     rows = [(line, row) for line, row in table if any(row.values())]  # spreadsheets end in rows of commas
@@ -126,13 +150,13 @@ def read_force_curves(path: str | Path) -> list[ForceCurve]:
     for (fabric, direction, loading), part in _groups(rows, NAMES).items():
         columns = [_column(part, name, path) if name in names else np.full(len(part), np.nan) for name in COLUMNS]
         axial, transverse, force = columns
-        number = _loading(loading, path, part[0][0])
+        number = _loading(loading, "loading", path, part[0][0])
         _require_one_loading(axial, f"{path}: {fabric or path.stem} {direction or 'weft'}, loading {number}")
         curves.append(ForceCurve(fabric or path.stem, direction or "weft", number, axial, transverse, force, str(path)))
     return curves
 
 
-def _loading(text: str, path: Path, line: int) -> int:
+def _loading(text: str, what: str, path: Path, line: int) -> int:
     """The number of a loading, 1 where none is given; tables may write it with decimals."""
     try:
         number = float(text or 1)
@@ -140,7 +164,7 @@ def _loading(text: str, path: Path, line: int) -> int:
         number = 0.0
     if not (number >= 1 and number.is_integer()):
         raise CaphyError(
-            f"{path}: line {line}: loading must be 1 for the first loading of a strip, then 2, 3, ..., got {text!r}"
+            f"{path}: line {line}: {what} must be 1 for the first loading of a strip, then 2, 3, ..., got {text!r}"
         )
     return int(number)
 
@@ -168,14 +192,23 @@ def _knit_curves(rows: Sequence[_Row], path: Path) -> list[ForceCurve]:
             ForceCurve(
                 fabric,
                 {"X": "weft", "Y": "warp"}.get(axis, axis),
-                int("".join(filter(str.isdigit, video)) or 1),
-                _strain(_column(part, "gauge_len_mm", path), force),
-                _strain(_column(part, "pin_transverse_mm", path), force),
+                _loading("".join(filter(str.isdigit, video)), "the number in video", path, part[0][0]),
+                _strain(_lengths(part, "gauge_len_mm", path), force),
+                _strain(_lengths(part, "pin_transverse_mm", path), force),
                 force,
                 str(path),
             )
         )
     return curves
+
+
+def _lengths(part: Sequence[_Row], name: str, path: Path) -> np.ndarray:
+    """A column of lengths (N,) [mm]; raises :class:`CaphyError` where one is not above 0."""
+    lengths = _column(part, name, path)
+    for (line, row), length in zip(part, lengths, strict=True):
+        if length <= 0:
+            raise CaphyError(f"{path}: line {line}: {name} must be a length above 0 [mm], got {row[name]!r}")
+    return lengths
 
 
 def _strain(length: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -198,9 +231,12 @@ def _column(part: Sequence[_Row], name: str, path: Path) -> np.ndarray:
     for line, row in part:
         try:
             unknown = name == "transverse_strain" and row[name] == ""
-            values.append(np.nan if unknown else float(row[name]))
+            value = np.nan if unknown else float(row[name])
         except (TypeError, ValueError) as error:
             raise CaphyError(f"{path}: line {line}: {name} must be a number, got {row[name]!r}") from error
+        if not np.isfinite(value) and not (np.isnan(value) and name in _ACROSS):
+            raise CaphyError(f"{path}: line {line}: {name} must be finite, got {row[name]!r}")
+        values.append(value)
     return np.array(values)
 
 
