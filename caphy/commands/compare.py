@@ -119,7 +119,7 @@ def _compared_curves(command: Compare, path: Path) -> dict:
     from caphy.effects.model import Model
     from caphy.io.measurements import read_force_curves
     from caphy.measure.uniaxial import compare_curves
-    from caphy.tensile.checks import require_tension
+    from caphy.tensile.checks import far_stretched, require_tension
 
     model = load_model(command.model, command.effect_file)
     if not isinstance(model, Model):
@@ -127,6 +127,8 @@ def _compared_curves(command: Compare, path: Path) -> dict:
     curves = read_force_curves(path)
     for curve in curves:
         require_tension(curve)
+    for note in far_stretched(curves):
+        print(f"Note: {note}")
     return compare_curves(model, curves, path.stem, str(path))
 
 

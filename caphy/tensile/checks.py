@@ -40,6 +40,7 @@ def usable(curves: Sequence[ForceCurve]) -> tuple[list[ForceCurve], list[str]]:
         )
     _check_duplicates(kept)
     _check_noise(kept)
+    cautions += far_stretched(kept)
     widening = [curve.name for curve in kept if curve.transverse[-1] > 0.1]
     if widening:
         cautions.append(f"{widening[0]} gets wider as it is pulled: check the sign of the transverse strain.")
@@ -64,6 +65,17 @@ def require_tension(curve: ForceCurve) -> None:
             f"{where}: {top:.3g} N/m at a strain of {curve.axial.max():.3g} is no cloth; forces must be in newton per "
             "metre of width at rest (N over the strip's width in m; kN/m times 1000), strains fractions"
         )
+
+
+def far_stretched(curves: Sequence[ForceCurve]) -> list[str]:
+    """What was read, in a sentence, where a strip is pulled to twice its length: knits may be, or it is percent."""
+    longest = max(curves, key=lambda curve: curve.axial.max())
+    if longest.axial.max() <= 1:
+        return []
+    return [
+        f"{_where(longest)}: the largest strain read is {100 * longest.axial.max():.0f} %; if the column is in "
+        "percent, divide it by 100."
+    ]
 
 
 def _checked(curve: ForceCurve) -> ForceCurve:

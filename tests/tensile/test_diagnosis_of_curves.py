@@ -17,6 +17,7 @@ from caphy.io.measurements import ForceCurve, read_force_curves
 from caphy.kept import Kept
 from caphy.tensile import diagnose_curves, refit_curves
 from caphy.tensile.between import TOO_FEW
+from caphy.tensile.checks import usable
 from caphy.tensile.report import write
 from caphy.tensile.strip import Strip
 from caphy.tensile.unexplained import drift
@@ -239,6 +240,19 @@ def turned(column: np.ndarray) -> np.ndarray:
 def test_bad_input_is_refused_in_words(curves, message):
     with pytest.raises(CaphyError, match=message):
         diagnose_curves(model(), curves)
+
+
+def test_what_may_be_percent_is_said(tmp_path, capsys):
+    """Up to 3 knits reach it."""
+    kept, cautions = usable(bad(axial=lambda strain: 2.5 / TOP * strain))
+    assert len(kept) == 10
+    (caution,) = cautions
+    assert caution == "cloth weft 1: the largest strain read is 250 %; if the column is in percent, divide it by 100."
+    assert not usable(measured(isotropic(), TOP))[1]
+    table = tmp_path / "table.csv"
+    table.write_text("axial_strain,force_per_width_N_per_m\n0,0\n1,50\n2,100\n2.5,125\n")
+    assert main(["compare", "snug", str(table), "-o", str(tmp_path / "out")]) == 0
+    assert f"Note: {table}: table weft 1: the largest strain read is 250 %" in capsys.readouterr().out
 
 
 def let_go(curve: ForceCurve) -> ForceCurve:
