@@ -213,6 +213,27 @@ def _diagnose_curves(command: Diagnose, model: Model) -> None:
         kept = Kept(folder, command.effect_file)
         answer = diagnose_tables(model, command.measurements, command.output, command.held_out, kept)
     if answer.verdict in ("named", "none of these"):
-        found = [*answer.found, *answer.found_used]
-        following = next_command("named", found, command, "refitted") if found else ["caphy", "effects", "new", "NAME"]
-        print(f"next: {shlex.join(following)}")
+        print("\n".join(after_curves(answer.found, answer.found_used, command)))
+
+
+def after_curves(found: Sequence[str], found_used: Sequence[str], command: Diagnose) -> list[str]:
+    """What to run after a diagnosis of tensile tests that found something, or names nothing, in lines.
+
+    A refit adds effects to all loadings, and to used cloth those that remember alone: what else was found from the
+    second loading on (``found_used``) is only in the models that the diagnosis wrote.
+    """
+    from caphy.tensile.candidates import HISTORY
+
+    addable = [*found, *(name for name in found_used if name in HISTORY)]
+    changed = ", ".join(name for name in found_used if name not in HISTORY)
+    lines = []
+    if changed:
+        lines.append(
+            f"caphy refit cannot change {changed} from the second loading on; the models above do (_first.json: of the "
+            "first loading)"
+        )
+    if addable:
+        lines.append(f"next: {shlex.join(next_command('named', addable, command, 'refitted'))}")
+    elif not changed:
+        lines.append("next: caphy effects new NAME")
+    return lines

@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from caphy.commands.compare import Compare
-from caphy.commands.diagnose import Diagnose, next_command
+from caphy.commands.diagnose import Diagnose, after_curves, next_command
 from caphy.commands.refit import RefitCommand
 
 WALKS = (Path("my walks/a.npz"), Path("my walks/b.npz"))
@@ -57,3 +57,14 @@ def test_tables_of_tensile_tests_are_refitted_into_a_folder():
     command = next_command("named", ("strain_stiffening", "hysteresis"), given(), "refitted")
     refit = parsed(RefitCommand, command)
     assert refit.add == ("strain_stiffening", "hysteresis") and refit.output == Path("out/refitted")
+
+
+def test_what_was_found_from_the_second_loading_on_is_not_added_to_all():
+    """Softening remembers, so that a refit gives it to used cloth; hysteresis it would give to all loadings."""
+    (only,) = after_curves(("hysteresis",), ("softening",), given())
+    assert parsed(RefitCommand, shlex.split(only)[1:]).add == ("hysteresis", "softening")
+    changed, then = after_curves(("hysteresis",), ("hysteresis",), given())
+    assert "caphy refit cannot change hysteresis from the second loading on" in changed
+    assert parsed(RefitCommand, shlex.split(then)[1:]).add == ("hysteresis",)
+    assert after_curves((), ("hysteresis",), given()) == [changed]
+    assert after_curves((), (), given()) == ["next: caphy effects new NAME"]
