@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from caphy.errors import CaphyError
+from caphy.io.places import write_text
 
 NAME = "sealed.json"
 KEYS = ("hidden", "effects", "outside", "verdict", "alike")
@@ -28,6 +29,22 @@ def seal(answer: Mapping[str, Any]) -> tuple[str, str]:
     digest = hashlib.sha256(content).hexdigest()
     packed = base64.b85encode(zlib.compress(content)).decode("ascii")
     return json.dumps({"schema": "caphy-challenge-1", "sha256": digest, "sealed": packed}, indent=1), digest
+
+
+def sealed_in(folder: Path, answer: Mapping[str, Any]) -> str:
+    """The hash of an answer sealed in a folder: as it was said where this answer is sealed there already, or a new one.
+
+    Raises :class:`CaphyError` where it cannot be written.
+    """
+    try:
+        there, digest = opened(folder)
+        if there == json.loads(json.dumps(dict(answer))):
+            return digest
+    except CaphyError:
+        pass
+    text, digest = seal(answer)
+    write_text(folder / NAME, text)
+    return digest
 
 
 def opened(folder: Path) -> tuple[dict[str, Any], str]:

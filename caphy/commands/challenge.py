@@ -91,7 +91,7 @@ def new(command: New) -> None:
 
 def _written(command: New, world: World) -> None:
     """Write a challenge, and say what comes next."""
-    from caphy.challenge.sealed import NAME, seal
+    from caphy.challenge.sealed import NAME, sealed_in
     from caphy.io.measurements import write_measurement
 
     command.output.mkdir(parents=True, exist_ok=True)
@@ -103,8 +103,7 @@ def _written(command: New, world: World) -> None:
             write_measurement(measurement, path)
             paths[part].append(str(path))
     write_text(command.output / "model.json", world.model.to_json())
-    text, digest = seal(world.answer)
-    write_text(command.output / NAME, text)
+    digest = sealed_in(command.output, world.answer)
     files = [path for found in paths.values() for path in found]
     print("\n".join(map(str, [command.output / "model.json", *files, command.output / NAME])))
     print(f"sealed answer, SHA-256 {digest}")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -97,6 +99,23 @@ def test_the_same_challenge_made_again_keeps_its_diagnosis(tmp_path):
     assert _is_there(this)
     for other in (replace(this, seed=2), replace(this, points=2500), replace(this, scene="skirt")):
         assert not _is_there(other)
+
+
+def test_the_same_challenge_made_again_keeps_its_hash(tmp_path, capsys, monkeypatch):
+    """A salt that changes would change what was printed when the challenge was made."""
+    truth = {**ANSWER, "seed": 1, "scene": "square", "noise_mm": 1.0, "points": None}
+    answers = iter([truth, truth, {**truth, "hidden": "gust"}])
+    model = SimpleNamespace(to_json=lambda: "{}")
+    monkeypatch.setattr(
+        "caphy.challenge.world.make", lambda *_, **__: SimpleNamespace(
+            train=(), base=(), held_out=(), model=model, answer=next(answers))
+    )  # fmt: skip
+    told = []
+    for _ in range(3):
+        assert main(["challenge", "new", "--seed", "1", "-o", str(tmp_path)]) == 0
+        told.append(re.findall("SHA-256 (.*)", capsys.readouterr().out)[0])
+        assert opened(tmp_path)[1] == told[-1]
+    assert told[0] == told[1] != told[2]
 
 
 def test_noise_must_be_a_number(tmp_path, capsys):
