@@ -32,7 +32,7 @@ class New:
     noise: float = 1.0
     """Standard deviation of each measured coordinate [mm]."""
     points: int | None = None
-    """Points in each frame's cloud; without it the cloth's vertices are measured."""
+    """Points in each frame's cloud, 50 or more; without it the cloth's vertices are measured."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +60,15 @@ def new(command: New) -> None:
 
     from caphy.challenge.hidden import HIDDEN
     from caphy.challenge.world import make
+    from caphy.measure.track import FEWEST
     from caphy.processes import cores
 
     if not 0 <= command.noise < float("inf") or command.seed < 0:
         raise CaphyError(f"seed and noise must not be negative, got {command.seed} and {command.noise}")
-    if command.points is not None and command.points < 1:
-        raise CaphyError(f"--points must be positive, got {command.points}")
+    if command.points is not None and command.points < FEWEST:
+        raise CaphyError(
+            f"--points must be {FEWEST} or more, without which a frame counts as missing, got {command.points}"
+        )
     writable_folder(command.output)
     if (command.output / "diagnosis").exists() and not _is_there(command):
         raise CaphyError(

@@ -118,6 +118,12 @@ def test_the_same_challenge_made_again_keeps_its_hash(tmp_path, capsys, monkeypa
     assert told[0] == told[1] != told[2]
 
 
+def test_clouds_hold_points_enough_to_be_registered(tmp_path, capsys):
+    assert main(["challenge", "new", "--seed", "1", "--points", "49", "-o", str(tmp_path / "new")]) == 2
+    assert "--points must be 50 or more, without which a frame counts as missing, got 49" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
 def test_noise_must_be_a_number(tmp_path, capsys):
     assert main(["challenge", "new", "--seed", "1", "--noise", "nan", "-o", str(tmp_path)]) == 2
     assert "must not be negative, got 1 and nan" in capsys.readouterr().err
