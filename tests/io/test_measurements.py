@@ -97,8 +97,10 @@ def test_folder_round_trip_keeps_everything(tmp_path):
 
 
 def test_folder_of_another_program(tmp_path):
-    """OBJ files written by trimesh, numbered from 7 with a gap, z up."""
-    given = swinging()
+    """OBJ files written by trimesh, numbered from 7 with a gap, z up; one vertex was not seen in one of them."""
+    vertices = swinging().vertices.copy()
+    vertices[4, 20] = np.nan
+    given = replace(swinging(), vertices=vertices)
     to_z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     trimesh.Trimesh(given.rest_vertices, given.faces, process=False).export(tmp_path / "rest.obj")
     for frame in (0, 1, 2, 4, 5):
@@ -109,6 +111,7 @@ def test_folder_of_another_program(tmp_path):
     assert len(back) == 6
     assert back.seen_frames.tolist() == [0, 1, 2, 4, 5]
     np.testing.assert_allclose(back.vertices[[0, 4]], given.vertices[[0, 4]], atol=1e-9)
+    assert np.argwhere(~back.observed[[0, 1, 2, 4, 5]]).tolist() == [[3, 20]]
 
 
 def test_a_rest_mesh_is_found_by_its_name(tmp_path):
