@@ -14,6 +14,7 @@ from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.io.poses import PoseSequence
 from caphy.io.poses.sequence import MAX_ANGLE, MAX_DISTANCE
 from caphy.rotations import quaternion_from_axis_angle
+from service.clients.given import RATES
 from service.conditioned import Conditioned, frames_of
 from service.encodings import LABELS, Encoding, JointMotion, Meshes
 from service.engine import GarmentEngine
@@ -24,7 +25,6 @@ from service.settings import Settings
 from service.settling import run_settling
 from service.states import require_states, split_states
 
-FPS_RANGE: Final = (1.0, 1000.0)
 SKELETONS: Final = {
     21: "SMPL-X's body joints without the root",
     22: "SMPL-X's body without hands and face",
@@ -101,8 +101,8 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, engine
         )
     if request.transl.shape != (frames, 3):
         raise Problem(422, f"transl: must have shape ({frames}, 3), got {request.transl.shape}")
-    if not FPS_RANGE[0] <= request.fps <= FPS_RANGE[1]:
-        raise Problem(422, f"fps: must lie between {FPS_RANGE[0]:g} and {FPS_RANGE[1]:g}, got {request.fps:g}")
+    if not RATES[0] <= request.fps <= RATES[1]:
+        raise Problem(422, f"fps: must lie between {RATES[0]:g} and {RATES[1]:g}, got {request.fps:g}")
     if frames == 0:
         raise Problem(422, "poses: there must be at least one frame")
     answered = answered_frames(request, fps)

@@ -21,8 +21,8 @@ from fastapi import FastAPI, WebSocket
 
 from caphy.errors import CaphyError
 from service.avatar_routes import find_avatar
+from service.clients.given import RATES
 from service.errors import Problem
-from service.frames import FPS_RANGE
 from service.stream.connection import Allowance, Connection, StreamError, answered
 from service.stream.limits import StreamLimits
 from service.stream.messages import ClientMessage, Poses, Rate, Reset, Seen, decode_client
@@ -161,8 +161,8 @@ async def _relay(connection: Connection, feed: Feed, limits: StreamLimits) -> No
 def _checked(message: ClientMessage, feed: Feed, limits: StreamLimits) -> int:
     """How many frames a message counts for; raises StreamError for what is not for feeds."""
     if isinstance(message, Rate):
-        if not FPS_RANGE[0] <= message.fps <= FPS_RANGE[1]:
-            raise StreamError(422, f"the rate must be {FPS_RANGE[0]:g} to {FPS_RANGE[1]:g} Hz, got {message.fps:g}")
+        if not RATES[0] <= message.fps <= RATES[1]:
+            raise StreamError(422, f"the rate must be {RATES[0]:g} to {RATES[1]:g} Hz, got {message.fps:g}")
         return 1
     if not feed.rate:
         raise StreamError(409, "the first message of a feed must be its rate")

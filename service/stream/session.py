@@ -19,10 +19,11 @@ import numpy as np
 from caphy.errors import CaphyError
 from service import frames
 from service.avatars import Avatar
+from service.clients.given import RATES
 from service.conditioned import body_of, parse_settings
 from service.encodings import Encoding, Meshes
 from service.errors import Problem
-from service.frames import FPS_RANGE, Wanted
+from service.frames import Wanted
 from service.protocol import FramesRequest
 from service.states import require_states, split_states
 from service.stream.clock import CausalClock
@@ -303,6 +304,6 @@ class Session:
 
 
 def _checked_rate(fps: float) -> float:
-    if not FPS_RANGE[0] <= fps <= FPS_RANGE[1]:
-        raise Problem(422, f"fps: must lie between {FPS_RANGE[0]:g} and {FPS_RANGE[1]:g}, got {fps:g}")
+    if not RATES[0] <= fps <= RATES[1]:
+        raise Problem(422, f"fps: must lie between {RATES[0]:g} and {RATES[1]:g}, got {fps:g}")
     return float(fps)

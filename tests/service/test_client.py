@@ -19,7 +19,6 @@ from service.clients import given
 from service.clients.feed import FeedClient
 from service.clients.stream import StreamClient
 from service.engine import GarmentEngine
-from service.frames import FPS_RANGE
 
 
 def test_frames_are_the_engines(url, bundle, motion):
@@ -235,10 +234,6 @@ def test_a_motion_that_gets_long_by_resampling_goes_in_parts(url, motion):
     poses, transl = np.tile(motion.poses, (28, 1, 1)), np.tile(motion.transl, (28, 1))
     slow = replace(motion, poses=poses, transl=transl, fps=10.0)  # 840 poses, but more frames than a request may have
     assert len(Client(url).frames("shell", slow, ["tshirt"])["tshirt"]) == 2518
-
-
-def test_clients_give_the_rates_that_services_take():
-    assert given.RATES == FPS_RANGE
 
 
 def test_settings_that_json_cannot_hold_are_told(url, motion):
