@@ -15,7 +15,6 @@ import pytest
 from caphy.errors import CaphyError
 from caphy.io.poses.sequence import SMPLX_PELVIS
 from service.client import Client
-from service.clients import given
 from service.clients.feed import FeedClient
 from service.clients.stream import StreamClient
 from service.engine import GarmentEngine
