@@ -157,15 +157,9 @@ def _targets(command: Convert | Condition) -> list[tuple[Path, Path]]:
     if len(set(targets)) != len(targets):
         raise CaphyError("two files have the same name; convert them into different folders with --out")
     writable_folder(command.out).mkdir(parents=True, exist_ok=True)
-    pairs = list(zip(command.files, targets, strict=True))
-    for path, target in pairs:
-        _require_another(path, target)
-    return pairs
-
-
-def _require_another(path: Path, target: Path) -> None:
-    if target.exists() and path.exists() and target.samefile(path):
-        raise CaphyError(f"{path}: would be overwritten by what is made of it; choose another place with --out")
+    for target in targets:
+        writable_file(target, inputs=command.files)
+    return list(zip(command.files, targets, strict=True))
 
 
 def _condition(command: Condition) -> None:
@@ -204,9 +198,7 @@ def _render(command: Render) -> None:
 
     if command.frames < 1 or command.size < 16:
         raise CaphyError(f"--frames must be at least 1 and --size 16, got {command.frames} and {command.size}")
-    for path in command.files:
-        _require_another(path, command.out)
-    writable_file(command.out, ".png").parent.mkdir(parents=True, exist_ok=True)
+    writable_file(command.out, ".png", command.files).parent.mkdir(parents=True, exist_ok=True)
     images, labels = [], []
     for path in command.files:
         sequence = command.source.read(path)

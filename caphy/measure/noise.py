@@ -60,26 +60,31 @@ def measurement_noise(measurement: Measurement) -> Noise | None:
 
 def overstated(measurement: Measurement) -> str | None:
     """Doubt in words where a file states far more noise than its data scatter by, which hides all that it shows."""
-    stated = measurement_noise(measurement)
-    seen = None if stated is None or not stated.source.startswith("stated") else scatter(measurement)
-    if stated is None or seen is None or stated.sigma <= _OVERSTATED * seen.sigma:
+    stated, seen = _stated_and_seen(measurement)
+    if stated <= _OVERSTATED * seen:
         return None
     return (
-        f"{measurement.name} states noise of {1e3 * stated.sigma:.3g} mm but scatters by {1e3 * seen.sigma:.2g} mm; "
+        f"{measurement.name} states noise of {1e3 * stated:.3g} mm but scatters by {1e3 * seen:.2g} mm; "
         "what it says is believed, and hides effects that are smaller"
     )
 
 
 def understated(measurement: Measurement) -> str | None:
     """Doubt in words where a file states far less noise than its data scatter by, and noise is taken for an error."""
-    stated = measurement_noise(measurement)
-    seen = None if stated is None or not stated.source.startswith("stated") else scatter(measurement)
-    if stated is None or seen is None or seen.sigma <= max(_UNDERSTATED * stated.sigma, _PLAIN):
+    stated, seen = _stated_and_seen(measurement)
+    if seen <= max(_UNDERSTATED * stated, _PLAIN):
         return None
     return (
-        f"{measurement.name} states noise of {1e3 * stated.sigma:.2g} mm but scatters by {1e3 * seen.sigma:.2g} mm "
+        f"{measurement.name} states noise of {1e3 * stated:.2g} mm but scatters by {1e3 * seen:.2g} mm "
         "even where it moves least; what it says is believed (noise_mm is in millimetres, noise in metres)"
     )
+
+
+def _stated_and_seen(measurement: Measurement) -> tuple[float, float]:
+    """Noise [m] that a file states, and what its data scatter by; zero and zero where one of them is not known."""
+    stated = measurement_noise(measurement)
+    seen = None if stated is None or not stated.source.startswith("stated") else scatter(measurement)
+    return (0.0, 0.0) if stated is None or seen is None else (stated.sigma, seen.sigma)
 
 
 def scatter(measurement: Measurement) -> Noise | None:

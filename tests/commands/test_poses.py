@@ -55,7 +55,7 @@ def test_convert_resamples_and_turns(clip, tmp_path, capsys):
 def test_convert_does_not_overwrite_its_source(clip, capsys):
     before = clip.read_bytes()
     assert main(["poses", "convert", str(clip), "--out", str(clip.parent)]) == 2
-    assert "would be overwritten" in capsys.readouterr().err
+    assert "is read, and would be replaced" in capsys.readouterr().err
     assert clip.read_bytes() == before
 
 
@@ -71,8 +71,12 @@ def test_render_writes_a_picture(clip, tmp_path):
 
 def test_render_overwrites_no_motion_and_writes_no_picture_under_another_name(clip, tmp_path, capsys):
     before = clip.read_bytes()
+    named = clip.rename(clip.with_suffix(".png"))
+    assert main(["poses", "render", str(named), "--out", str(named)]) == 2
+    assert f"{named}: is read, and would be replaced" in capsys.readouterr().err
+    named.rename(clip)
     assert main(["poses", "render", str(clip), "--out", str(clip)]) == 2
-    assert f"{clip}: would be overwritten" in capsys.readouterr().err
+    assert "must end in .png" in capsys.readouterr().err
     assert clip.read_bytes() == before
     for name in ("sheet.jpg", "sheet", "other.npz"):
         assert main(["poses", "render", str(clip), "--out", str(tmp_path / name)]) == 2
