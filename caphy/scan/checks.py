@@ -234,13 +234,14 @@ def _up_axis(scans: ScanSet, traits: list[_Traits]) -> list[Finding]:
     if not traits:
         return []
     extent = np.median([trait.extent for trait in traits], axis=0)
-    files = scans.rotation.T @ np.eye(3)[int(extent.argmax())]
-    axis = "xyz"[int(np.abs(files).argmax())]
     if extent[1] < LIES[0] * extent.max():
+        files = scans.rotation.T @ np.eye(3)[int(extent.argmax())]
+        axis = "xyz"[int(np.abs(files).argmax())]
         message = f'seems to lie: its files are longest along {axis}; try up_axis = "{axis}" or "-{axis}"'
         return [Finding(trait.name, message, False) for trait in traits]
     if len(traits) >= FEW and np.median([trait.footing for trait in traits]) < ON_ITS_HEAD:
-        other = f"{'-' if files.sum() > 0 else ''}{axis}"
+        up = scans.rotation.T @ [0, 1, 0]
+        other = f"{'-' if up.sum() > 0 else ''}{'xyz'[int(np.abs(up).argmax())]}"
         message = f'seems to stand on its head: its upper end spreads like feet; try up_axis = "{other}"'
         return [Finding(trait.name, message, False) for trait in traits]
     message = "seems to lie, and the others stand; is its up axis another? Turn it, or move it to a folder of its own"

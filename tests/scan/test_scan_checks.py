@@ -145,6 +145,14 @@ def test_a_set_on_its_head_is_asked_for_its_up_axis(tmp_path):
     assert not any(finding.severe for finding in findings)
 
 
+def test_that_axis_is_the_upward_one_also_where_arms_spread_wider_than_the_person_is_tall(tmp_path):
+    vertices = _person()[0] * [1.6, -1, -1]
+    assert np.ptp(vertices[:, 0]) > np.ptp(vertices[:, 1]) > 0.75 * np.ptp(vertices[:, 0])
+    _set(tmp_path / "set", [_scan(name=f"s{i}", vertices=vertices) for i in range(3)])
+    findings = check_set(ScanSet.read(tmp_path / "set"))
+    assert [f.message.rsplit(" ", 1)[1] for f in findings if "on its head" in f.message] == 3 * ['"-y"']
+
+
 def test_one_that_lies_among_others_that_stand_is_named(tmp_path):
     lying = _person()[0] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     scans = [_scan(name=f"s{i}") for i in range(4)] + [_scan(name="z_up", vertices=lying)]
