@@ -38,8 +38,7 @@ class LiveService:
 
     def logged(self) -> list[dict[str, Any]]:
         """Lines of its log so far; any that is not JSON fails."""
-        self.log.seek(0)
-        lines = self.log.read().decode().splitlines()
+        lines = written(self.log).splitlines()
         strange = [line for line in lines if not line.startswith("{")]
         assert strange == [], strange
         return [json.loads(line) for line in lines]
@@ -60,6 +59,15 @@ class LiveService:
         return self.process.wait(timeout=20)
 
 
+def written(log: IO[bytes]) -> str:
+    """What ``log`` holds.
+
+    Read without moving its place: the service writes through the same open file, so a reader
+    that goes back to its start would let the next line be written over the first ones.
+    """
+    return os.pread(log.fileno(), os.fstat(log.fileno()).st_size, 0).decode()
+
+
 @contextmanager
 def live_service(avatars: Path, *arguments: str, **environment: str) -> Iterator[LiveService]:
     """A service on a free port; killed at the end if it still runs."""
@@ -73,8 +81,7 @@ def live_service(avatars: Path, *arguments: str, **environment: str) -> Iterator
             said = [process.stdout.readline() for _ in range(3)]
             found = re.search(r"http://\S+", said[0])
             if not found:
-                log.seek(0)
-                raise AssertionError(said[0] + log.read().decode())
+                raise AssertionError(said[0] + written(log))
             yield LiveService(process, found[0], said, log)
         finally:
             if process.poll() is None:
