@@ -231,7 +231,7 @@ def _garment(
     from dataclasses import asdict
 
     from caphy.garment.template import Garment
-    from caphy.register.eases import SCANS
+    from caphy.register.hanging import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
     from caphy.register.points import ScanPoints
     from caphy.register.template import COMPARED, choose
@@ -260,7 +260,7 @@ def _garment(
                 points = [ScanPoints.of(*each) for each in zip(clouds, placements, strict=True)]
                 choice = _outermost(choice, Garment.load(beneath), fit.figure, points)
             nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
-            style, garment = _hung(choice, fit.figure, placements, nearest, kind, model, progress, kept)
+            style, garment = _hung(choice, fit.figure, targets[:SCANS], nearest, model, progress, kept)
         told = asdict(style) | {"families": dict(choice.runners_up)}
         distance, looked_at = choice.distance, choice.looked_at
     garment.save(path)
@@ -361,19 +361,18 @@ def _outermost(choice: Choice, lower: Garment, figure: Figure, points: Sequence[
 def _hung(
     choice: Choice,
     figure: Figure,
-    placements: list[Placement],
+    targets: list[Target],
     scans: list[Scan],
-    kind: str,
     model: Model,
     progress: Progress,
     kept: Kept,
 ) -> tuple[Family, Garment]:
-    """The chosen style with eases that hang as the plainest scans show, or its own, and what it makes."""
+    """The chosen style with eases and lengths that hang as the plainest scans show, or its own, and what it makes."""
     from dataclasses import replace
 
     from caphy.effects.cloth import Cloth
-    from caphy.register.eases import hung, hung_eases
     from caphy.register.girth import Sheet
+    from caphy.register.hanging import hung, hung_style
     from caphy.register.template import made
 
     def cut(style: Family) -> Garment:
@@ -391,9 +390,10 @@ def _hung(
         kept.keep(key, {"vertices": vertices})
         return vertices
 
+    kind = targets[0].kind
     sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
-        style = hung_eases(choice.style, figure, placements[: len(sheets)], sheets, kind, model, progress, hang)
+        style = hung_style(choice.style, figure, targets, sheets, model, progress, hang)
         return style, cut(style)
     except CaphyError as error:
         print(f"the {kind} garment's eases are told by distances alone: {error}")

@@ -8,7 +8,7 @@ edge lies where fewest points are on its wrong side.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,8 @@ UNDER = 0.5
 """What a bare point within an edge counts for, against a cloth point beyond: one looks into sleeves and under hems."""
 WHOLE = 0.05
 """An arm of which nothing is seen nearer to the shoulder joint than this [m] tells nothing of its sleeve."""
+IN_COMMON = 0.4
+"""Share of the sectors in which two must show an edge for one to be farther than the other."""
 LEAST_SCANS = 6
 """Scans below which ends are not read off: in a few poses a shirt hangs to one side, or hems are folded up."""
 LEAST = 3
@@ -60,11 +62,36 @@ class Borders:
             return cls()
         surface = Surface.of(marks.body.faces, marks.vertices)
         laid = [_Laid.of(target, surface, marks) for target in targets]
-        down = _median(loop.middle for each in laid for loop in each.hems())
+        down = _median(loop.middle for each in laid for _, loop in each.hems())
         return cls(
-            cuff=_median(loop.middle for each in laid for loop in each.cuffs()),
+            cuff=_median(loop.middle for each in laid for _, loop in each.cuffs()),
             hem=None if down is None else -down,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Where one scan's cloth ends on the T-posed body, sector by sector: cuffs along the arm, hems down the body.
+
+    By side of the body (1.0 the left, -1.0 the right, 0.0 neither); none where that side shows nothing.
+    """
+
+    cuffs: Mapping[float, _Loop]
+    hems: Mapping[float, _Loop]
+
+    @classmethod
+    def of(cls, target: Target, marks: Landmarks) -> Ends:
+        """Of a scan, or of cloth of known points, on the body of ``marks``."""
+        laid = _Laid.of(target, Surface.of(marks.body.faces, marks.vertices), marks)
+        return cls(dict(laid.cuffs()), dict(laid.hems()))
+
+    def beyond(self, other: Ends) -> tuple[float | None, float | None]:
+        """How much farther than another's these cuffs and these hems reach [m]; none where too little is seen of both.
+
+        Cloth that slides to one side ends higher here and lower there, so both sides count alike; and where an edge is
+        seen in part, parts are held against the same parts.
+        """
+        return _beyond(self.cuffs, other.cuffs), _beyond(self.hems, other.hems)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +146,8 @@ class _Laid:
         )
         return cls(target, marks, places, weights, near)
 
-    def cuffs(self) -> Iterator[_Loop]:
-        """The ends of the sleeves; lengths run from the shoulder joint."""
+    def cuffs(self) -> Iterator[tuple[float, _Loop]]:
+        """The ends of the sleeves, by side; lengths run from the shoulder joint."""
         if self.target.kind == "lower":
             return
         shoulder = self.marks.joint("left_shoulder")
@@ -129,22 +156,22 @@ class _Laid:
             local = (self.places * [side, 1, 1] - shoulder) @ frame.T
             on = self._on("arm", "hand") & (side * self.places[:, 0] > 0) & (self.target.scan.labels != LOWER)
             if on.any() and local[on, 0].min() < WHOLE:
-                yield self._loop(local[:, 0], local[:, 1], local[:, 2], on)
+                yield side, self._loop(local[:, 0], local[:, 1], local[:, 2], on)
 
-    def hems(self) -> Iterator[_Loop]:
-        """The lower ends; of trousers one for each leg. Lengths run down from height zero."""
+    def hems(self) -> Iterator[tuple[float, _Loop]]:
+        """The lower ends, by side; of trousers one for each leg. Lengths run down from height zero."""
         x, y, z = self.places.T
         middle = self.marks.joint("pelvis")
         if self.target.kind == "upper":
             on = self._on("leg", "trunk") & (y < self.marks.armpit - 0.1) & (y > self.marks.joint("left_knee")[1])
-            yield self._loop(-y, x - middle[0], z - middle[2], on)
+            yield 0.0, self._loop(-y, x - middle[0], z - middle[2], on)
             return
         hip, ankle = self.marks.joint("left_hip"), self.marks.joint("left_ankle")
         share = ((hip[1] - y) / (hip[1] - ankle[1]))[:, None]
         bone = hip + share * (ankle - hip)
         for side in (1.0, -1.0):
             on = self._on("leg", "foot") & (side * x > 0) & (y > ankle[1] - 0.03)
-            yield self._loop(-y, side * x - bone[:, 0], z - bone[:, 2], on & (self.target.scan.labels != UPPER))
+            yield side, self._loop(-y, side * x - bone[:, 0], z - bone[:, 2], on & (self.target.scan.labels != UPPER))
 
     def _on(self, *parts: str) -> np.ndarray:
         """Which points (N,) count and lie on parts of the body."""
@@ -168,6 +195,18 @@ def _edge(along: np.ndarray, cloth: np.ndarray) -> float:
     if k in (0, len(along)) or wrong[k] > MIXED * len(along):
         return np.nan
     return float(along[k - 1] + min(0.5 * (along[k] - along[k - 1]), GAP))
+
+
+def _beyond(these: Mapping[float, _Loop], others: Mapping[float, _Loop]) -> float | None:
+    """The mean over all sides of how much farther one edge is than the other [m]; none unless all show it."""
+    sides = these.keys() & others.keys()
+    further = [these[side].along - others[side].along for side in sorted(sides)]
+    if not further or sides != these.keys() | others.keys():
+        return None
+    seen = [np.isfinite(each) for each in further]
+    if min(each.mean() for each in seen) < IN_COMMON:
+        return None
+    return float(np.mean([each[known].mean() for each, known in zip(further, seen, strict=True)]))
 
 
 def _median(values: Iterator[float | None]) -> float | None:

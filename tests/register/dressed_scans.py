@@ -97,14 +97,15 @@ def look(person: Subject, pose: np.ndarray, transl: np.ndarray, seed: int, count
             vertices = vertices + np.maximum(0.004 - near.distance, 0)[:, None] * near.normal
         cloth.append((vertices, garment.faces))
         meshes.append(cloth[-1])
-    points, normals, labels = _sampled(meshes, rng, 3 * count)
+    points, normals, labels = sampled(meshes, rng, 3 * count)
     seen = visible(points, normals, meshes)
     kept = rng.permutation(np.flatnonzero(seen))[:count]
     points = points[kept] + noise * rng.standard_normal((len(kept), 3))
     return Sight(points, normals[kept], labels[kept], pose, transl, skin, cloth)
 
 
-def _sampled(meshes, rng, count):
+def sampled(meshes, rng, count):
+    """About so many points, normals and numbers of the mesh (N,), spread evenly over meshes."""
     points, normals, labels = [], [], []
     areas = [np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1) for v, f in meshes]
     total = sum(a.sum() for a in areas)

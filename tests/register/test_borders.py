@@ -11,10 +11,11 @@ from dressed_scans import GARMENTS, Subject, look
 
 from caphy.body.bundled import default_body
 from caphy.body.surface import Surface
+from caphy.garment.families import Tshirt, make
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register.articulation import Figure
-from caphy.register.borders import LEAST_SCANS, Borders
+from caphy.register.borders import LEAST_SCANS, Borders, Ends
 from caphy.register.chamfer import Target
 from caphy.register.cloud import Cloud
 from caphy.register.starts import plain_poses
@@ -98,3 +99,22 @@ def test_what_no_scan_shows_is_unknown(shirt_and_trousers, marks):
 
 def test_few_scans_say_nothing(shirt_and_trousers, marks):
     assert Borders.of(shirt_and_trousers[1:], marks) == Borders()
+
+
+def test_a_shirt_that_slid_to_one_side_is_no_longer_than_one_that_did_not(marks):
+    """Each of its sides differs by 2 cm. One with sleeves and hem 3 cm longer reaches farther by most of that: a hem
+    that stands off is carried to the thighs slantwise."""
+    wide = Tshirt(length=0.62, sleeve=0.18, edge_length=0.03)
+    plain, longer, slid_aside = (
+        Ends.of(seen([garment])[0], marks)
+        for garment in (
+            make(wide, marks.body),
+            make(replace(wide, length=0.65, sleeve=0.21), marks.body),
+            slid(make(wide, marks.body)),
+        )
+    )
+    sides = [np.nanmean(slid_aside.cuffs[side].along - plain.cuffs[side].along) for side in (1.0, -1.0)]
+    assert sides[0] > 0.015 and sides[1] < -0.015
+    assert slid_aside.beyond(plain) == pytest.approx((0.0, 0.0), abs=0.005)
+    assert longer.beyond(plain) == pytest.approx((0.027, 0.027), abs=0.004)
+    assert plain.beyond(replace(plain, cuffs={1.0: plain.cuffs[1.0]})) == (None, 0.0)  # one arm alone tells nothing

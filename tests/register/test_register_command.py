@@ -96,17 +96,18 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
         done.append("hung")
         return garment.vertices
 
-    def hung_eases(style, figure, placements, sheets, kind, model, progress, hang) -> Tshirt:
+    def hung_style(style, figure, targets, sheets, model, progress, hang) -> Tshirt:
         assert replace(style, layer_thickness=0.0) == Tshirt(sleeve=0.31)
-        assert (hang(garment, None, figure.body, placements[0], model) == garment.vertices).all()
+        placement = targets[0].placed.placement
+        assert (hang(garment, None, figure.body, placement, model) == garment.vertices).all()
         done.append("stopped" if "stopped" not in done else "eases")
         if done[-1] == "stopped":
             raise KeyboardInterrupt
         return style
 
     monkeypatch.setattr("caphy.register.template.choose", choose)
-    monkeypatch.setattr("caphy.register.eases.hung", hung)
-    monkeypatch.setattr("caphy.register.eases.hung_eases", hung_eases)
+    monkeypatch.setattr("caphy.register.hanging.hung", hung)
+    monkeypatch.setattr("caphy.register.hanging.hung_style", hung_style)
     both = [*command[:6], "lower", "upper", *command[7:]]
     assert main(both) == 130
     monkeypatch.setattr("caphy.register.linear_style.choose_linear", None)
@@ -181,17 +182,17 @@ def test_a_cut_with_faces_of_no_area_is_not_kept(spoilt, capsys, monkeypatch):
     """Eases that make one are left; a style that has one by itself is refused before anything is sewn from it."""
     told, hung = Tshirt(), Tshirt(ease=0.01)
     flat = replace(users_square(5), material=np.zeros_like(users_square(5).material))
-    monkeypatch.setattr("caphy.register.eases.hung_eases", lambda *_: hung)
+    monkeypatch.setattr("caphy.register.hanging.hung_style", lambda *_: hung)
     monkeypatch.setattr("caphy.register.girth.Sheet.of", lambda *_: None)
     monkeypatch.setattr(
         "caphy.register.template.made",
         lambda choice, _: flat if choice.style is hung or spoilt == "every" else users_square(5),
     )
-    choice, model = Choice(told, 0.01, 300, ()), Model(0.2)
+    choice, model, target = Choice(told, 0.01, 300, ()), Model(0.2), SimpleNamespace(kind="upper")
     if spoilt == "every":
         with pytest.raises(CaphyError, match="every face needs a rest area"):
-            _hung(choice, None, [], [], "upper", model, None, Kept())
+            _hung(choice, None, [target], [], model, None, Kept())
         return
-    style, garment = _hung(choice, None, [], [], "upper", model, None, Kept())
+    style, garment = _hung(choice, None, [target], [], model, None, Kept())
     assert style is told and garment.material.any()
     assert "the upper garment's eases are told by distances alone: garment" in capsys.readouterr().out
