@@ -30,7 +30,7 @@ from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column
 from caphy.refit.crew import Crew
 from caphy.refit.descent import fit
-from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
+from caphy.refit.evidence import Evidence, Weighing, evidence, ridged, robust_weights
 from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response, median_mm, picked
@@ -88,6 +88,10 @@ class _Look:
     variance: np.ndarray
     known: Evidence
     ridge: float
+
+    @property
+    def weighing(self) -> Weighing:
+        return Weighing(self.variance, self.known.weight)
 
     @property
     def change(self) -> np.ndarray:
@@ -175,9 +179,9 @@ def _amount_of_mesh(free: Sequence[Response], variance: np.ndarray, most: float)
     Windows ask for more or less of it, as cloth of another mesh does. Left free, it may take a part of a stiffness that
     is missing with it.
     """
-    weight = robust_weights(evidence(free, variance))
+    weighing = Weighing.robust(free, variance)
     alone = [replace(response.with_mesh(0.0), columns=response.of_mesh[..., None]) for response in free]
-    normal, right = evidence(alone, variance, weight).normal
+    normal, right = weighing.of(alone).normal
     return float(np.clip(ridged(normal, right, 0.0)[0], 0.0, most))
 
 
@@ -200,9 +204,9 @@ def _gains_left(study: Study, look: _Look, model: Model) -> tuple[float, float]:
     """The best gains of the library and of flexible forces in windows corrected by all the others."""
     count = len(look.columns)
     apart = [_corrected(r, c) for r, c in zip(look.probed, _left_out(look.known, look.ridge), strict=True)]
-    held = evidence(picked(apart, range(count)), look.variance, look.known.weight)
+    held = look.weighing.of(picked(apart, range(count)))
     rest = range(count, look.probed[0].columns.shape[-1])
-    flexible = Flexible.of(study, picked(apart, rest), look.variance, look.known.weight).gains
+    flexible = Flexible.of(study, picked(apart, rest), look.weighing).gains
     scores = screened(held, look.groups, look.places, model)
     best = max([0.0, *(score.gain for score in scores if not score.group.own)])
     return best, max([0.0, *flexible.values()])
@@ -229,7 +233,7 @@ def _fitted(study: Study, look: _Look, model: Model) -> Fit | None:
     off = _far_off(look, model)
     while off:
         responses = picked(look.probed, [look.columns.index(column) for column in off])
-        fitted = fit(study, model, off, responses, look.variance, look.known.weight, "parameters of the base")
+        fitted = fit(study, model, off, responses, look.weighing, "parameters of the base")
         if not fitted.change.any():  # roll-outs did not agree
             return None
         far = np.abs(np.log1p(fitted.change))

@@ -10,7 +10,7 @@ from math import comb
 import numpy as np
 
 from caphy.diagnose.probes import ORDER, STEADY, TO_AND_FRO, probe_places
-from caphy.refit.evidence import Evidence, evidence, ridged
+from caphy.refit.evidence import Evidence, Weighing, ridged
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
 
@@ -49,12 +49,12 @@ class Flexible:
     spans: np.ndarray
 
     @classmethod
-    def of(cls, study: Study, responses: Sequence[Response], variance: np.ndarray, weight: np.ndarray) -> Flexible:
+    def of(cls, study: Study, responses: Sequence[Response], weighing: Weighing) -> Flexible:
         """Of responses whose columns are the fields."""
         rates = [each.scene.measurement.fps for each in study.watched]
         spans = [np.array([r.start, r.start + len(r.seen)]) / rates[r.scene] for r in responses]
         centred = [_centred(response, span.mean()) for response, span in zip(responses, spans, strict=True)]
-        return cls(evidence(centred, variance, weight), np.stack(spans))
+        return cls(weighing.of(centred), np.stack(spans))
 
     @property
     def null(self) -> np.ndarray:

@@ -29,15 +29,15 @@ def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None
     for place, term in enumerate(found.terms):
         if term.group.own or found.fit is None:
             continue
-        name, variance, weight = term.group.name, found.screens[0].variance, found.screens[0].evidence.weight
+        name = term.group.name
         if laws := laws_of(name):
             linear = found.fit
             for law in laws:
-                fitted = in_another_law(study, linear, law, variance, weight)
+                fitted = in_another_law(study, linear, law)
                 group = Group(law, addition(law))
                 found.terms[place] = _settled(study, found, found.terms[place], group, fitted, apart)
         elif more := further(name):
-            fitted = told_further(study, found.fit, name, variance, weight)
+            fitted = told_further(study, found.fit, name)
             found.terms[place] = _settled(study, found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
 
 
@@ -45,7 +45,7 @@ def _settled(study: Study, found: Search, term: Term, law: Group, after: Fit, ap
     assert found.fit is not None
     first, before = found.screens[0], found.fit
     between = way(before, after)
-    each = between.falls(study, first.variance, first.evidence.weight)
+    each = between.falls(study, first.weighing)
     if apart is not None:
         each = np.append(each, apart.falls(between, first.model))
     sure, even = signed_ranks(each), term.even

@@ -29,7 +29,7 @@ def settle_rivals(study: Study, found: Search, apart: Apart) -> None:
     neither is linear on the way between. Rivals have as many numbers, and what is held out was seen by neither. Effects
     whose fit came to what tangents had told are left as they are.
     """
-    first, aside = found.screens[0], study.likewise()  # who is not taken leaves what mesh and steps do as it was told
+    aside = study.likewise()  # who is not taken leaves what mesh and steps do as it was told
     for place, term in enumerate(found.terms):
         rival = _rival(found, term)
         if rival is None or found.fit is None:
@@ -38,7 +38,7 @@ def settle_rivals(study: Study, found: Search, apart: Apart) -> None:
         fitted = refitted(aside, found, (*others, rival), what)
         if _far_behind(fitted, found.fit):
             continue
-        fitted = retold(aside, fitted, first.variance, first.evidence.weight, what)
+        fitted = retold(aside, fitted, what)
         better = [fitted.misfit < found.fit.misfit, _median(apart, fitted) < _median(apart, found.fit)]
         known = tuple(group for group in term.even if group.name != rival.name)
         if all(better):

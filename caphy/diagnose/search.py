@@ -16,7 +16,7 @@ from caphy.diagnose.screen import Score, borrowed_gains, bounds, in_few, null_ga
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, addition, changes, extended, from_the_end, moved
 from caphy.refit.descent import ROUNDS, refined, retold
-from caphy.refit.evidence import Evidence, evidence, ridged, robust_weights
+from caphy.refit.evidence import Evidence, Weighing, ridged
 from caphy.refit.fit import Fit, judged, share_gone
 from caphy.refit.responses import Response, Watched, picked
 from caphy.refit.settings import Settings, best_setting, in_setting, settings
@@ -84,6 +84,11 @@ class Screen:
     more_needed: dict[str, float]
     flexible: Flexible
     elsewhere: dict[str, list[Response]]
+
+    @property
+    def weighing(self) -> Weighing:
+        """What windows are weighed by; all screens of a search share it."""
+        return Weighing(self.variance, self.evidence.weight)
 
     @property
     def misfit(self) -> float:
@@ -197,39 +202,40 @@ def screen(
     if base is not None and (first is None or far):
         probed = study.correct(probed, columns, base.correction_in(probed, columns))
     responses = picked(probed, range(len(columns)))
-    variance = first.variance if first else base.variance if base else study.variance(responses)
-    weight = first.evidence.weight if first else robust_weights(evidence(responses, variance))
+    if first:
+        weighing = first.weighing
+    else:
+        weighing = Weighing.robust(responses, base.variance if base else study.variance(responses))
     last = len(columns) + sum(WIDTHS.values())
-    flexible = Flexible.of(study, picked(probed, range(len(columns), last)), variance, weight)
+    flexible = Flexible.of(study, picked(probed, range(len(columns), last)), weighing)
     elsewhere = {}
     for each in looked:
         elsewhere[each.name] = picked(probed, range(last, last + each.count))
         last += each.count
-    return _weighed(model, groups, responses, variance, weight, base, flexible, elsewhere)
+    return _weighed(model, groups, responses, weighing, base, flexible, elsewhere)
 
 
 def _weighed(
     model: Model,
     groups: tuple[Group, ...],
     responses: list[Response],
-    variance: np.ndarray,
-    weight: np.ndarray,
+    weighing: Weighing,
     base: Base | None,
     flexible: Flexible,
     elsewhere: dict[str, list[Response]],
 ) -> Screen:
     """What windows say of all groups, and what each must gain."""
     columns, places = columns_of(groups)
-    known = evidence(responses, variance, weight)
+    known = weighing.of(responses)
     scores = screened(known, groups, places, model)
     few, limits = in_few(known, places), bounds(columns, model)
     chance = null_gains(known, [index for label, index in places.items() if label not in few], limits)
     needed = LEAST_GAIN if base is None else max(LEAST_GAIN_OVER_BASE, OVER_BASE * base.gain)
     needed = max(needed, _ITSELF * float(np.quantile(chance, CHANCE)))
     more = {group.label: 0.0 if base is None else _more_needed(group, base) for group in groups}
-    lent = borrowed_gains(known, responses, variance, [places[label] for label in few], limits)
+    lent = borrowed_gains(known, responses, weighing.variance, [places[label] for label in few], limits)
     more |= {label: max(more[label], float(np.quantile(lent, CHANCE))) for label in few}
-    return Screen(model, groups, places, responses, variance, known, scores, needed, more, flexible, elsewhere)
+    return Screen(model, groups, places, responses, weighing.variance, known, scores, needed, more, flexible, elsewhere)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +254,7 @@ def _tune(study: Study, found: Search, original: Model, base: Base | None) -> No
     off in that setting from now on."""
     for name in list(found.screens[-1].elsewhere):
         first, last = found.screens[0], found.screens[-1]
-        known = evidence(last.elsewhere[name], last.variance, last.evidence.weight)
+        known = last.weighing.of(last.elsewhere[name])
         place, share = best_setting(known, last.model, name)
         if share < max(last.needed, last.scores[0].gain):
             continue
@@ -271,8 +277,7 @@ def _in_setting(study: Study, last: Screen, name: str, place: int, original: Mod
     both = [replace(r, columns=np.concatenate([r.columns, s.columns], -1)) for r, s in zip(kept, moved_to, strict=True)]
     responses = picked(both, [(*known, *there).index(column) for column in columns])
     rest = {other: found for other, found in last.elsewhere.items() if other != name}
-    weight = last.evidence.weight
-    return _weighed(model, groups, responses, last.variance, weight, base, last.flexible, rest)
+    return _weighed(model, groups, responses, last.weighing, base, last.flexible, rest)
 
 
 def _more_needed(group: Group, base: Base) -> float:
@@ -328,14 +333,14 @@ def _next_term(study: Study, found: Search, sure_of_parameters: bool, held_out: 
     if _more(last, best) + HOPE * best.promise / last.misfit < least:
         return None
     if not best.converged:
-        best = refined(study, best, last.variance, last.evidence.weight, f"fitting {label}")
+        best = refined(study, best, f"fitting {label}")
     more = _more(last, best)
     slight = bool(found.terms) and more < _FURTHER
     if more < least or (slight and _own_gain(last) >= _EVEN * chosen.gain):
         return None
     if found.fit is not None:
         best = replace(best, by_retelling=found.fit.by_retelling)
-    best = retold(study, best, last.variance, last.evidence.weight)
+    best = retold(study, best)
     far = fits[label].misfit + _ROLLED * last.misfit
     groups = {score.group.label: score.group for score in near}
     even = tuple(groups[other] for other, each in fits.items() if other != label and each.misfit <= far)
@@ -369,7 +374,7 @@ def _raced(study: Study, found: Search, near: Sequence[Score], rounds: int) -> d
         hope = each.share + HOPE * each.promise / last.misfit
         if rounds > _HEATS and not each.converged and hope >= _BEHIND * best:
             what, left = f"trying {label}", rounds - _HEATS
-            fits[label] = refined(study, each, last.variance, last.evidence.weight, what, left)
+            fits[label] = refined(study, each, what, left)
     return fits
 
 
@@ -406,10 +411,10 @@ def _fitted(study: Study, found: Search, score: Score, rounds: int, enough: floa
     columns = (*before, *(column for column in score.group.columns if column not in before))
     responses = picked(last.responses, [every.index(column) for column in columns])
     what = f"trying {score.group.label}"
-    weight, windows = last.evidence.weight, _windows(first, columns)
-    told = evidence(windows, first.variance, weight)  # where the search began
-    start = judged(first.model, last.model, columns, responses, last.variance, weight, None, told, windows)
-    return refined(study, start, last.variance, weight, what, rounds, enough)
+    windows = _windows(first, columns)
+    told = first.weighing.of(windows)  # where the search began
+    start = judged(first.model, last.model, columns, responses, last.weighing, None, told, windows)
+    return refined(study, start, what, rounds, enough)
 
 
 def _windows(screen: Screen, columns: Sequence[Column]) -> list[Response]:
@@ -464,10 +469,9 @@ def refitted(study: Study, found: Search, groups: Sequence[Group], what: str) ->
     start, known = extended(first.model, columns), extended(found.fit.model, columns)
     start = moved(start, columns, changes(start, known, columns))
     responses = study.respond(start, columns, what, anew={"solver"})
-    weight, told = first.evidence.weight, _told(first, columns)
-    windows = _windows(first, columns)
-    fitted = judged(first.model, start, columns, responses, first.variance, weight, None, told, windows)
-    fitted = refined(study, fitted, first.variance, weight, what)
+    told, windows = _told(first, columns), _windows(first, columns)
+    fitted = judged(first.model, start, columns, responses, first.weighing, None, told, windows)
+    fitted = refined(study, fitted, what)
     return replace(fitted, by_retelling=found.fit.by_retelling)
 
 

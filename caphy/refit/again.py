@@ -16,7 +16,7 @@ from caphy.effects.model import Model
 from caphy.errors import Diverged
 from caphy.refit.columns import changes, extended, moved
 from caphy.refit.descent import fit, gone_further, refined, retold, tried, weighed_anew
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import Weighing
 from caphy.refit.fit import Fit
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
@@ -105,10 +105,10 @@ def _fitted(study: Study, best: Fit, there: Model, variance: np.ndarray) -> Agai
         before = study.respond(best.origin, columns, what)
     except Diverged:
         return None
-    weight = robust_weights(evidence(before, variance))
-    start = fit(study, best.origin, columns, before, variance, weight, what, 0)
-    found = tried(study, start, there, variance, weight, what, {"solver"})
+    weighing = Weighing.robust(before, variance)
+    start = fit(study, best.origin, columns, before, weighing, what, 0)
+    found = tried(study, start, there, what, {"solver"})
     if found is None:
         return None
-    found = retold(study, refined(study, found, variance, weight, what), variance, weight)
+    found = retold(study, refined(study, found, what))
     return Again(study, replace(found, follow=best.follow), before)

@@ -10,7 +10,7 @@ import numpy as np
 from caphy.effects.model import Model
 from caphy.errors import Diverged
 from caphy.refit.columns import Column, from_the_end, moved
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import Weighing
 from caphy.refit.fit import LARGE, Fit, judged, share_gone
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
@@ -36,11 +36,9 @@ def fit(
     model: Model,
     columns: Sequence[Column],
     responses: Sequence[Response],
-    variance: np.ndarray,
-    weight: np.ndarray,
+    weighing: Weighing,
     what: str = "fitting",
     rounds: int | None = None,
-    most: np.ndarray | None = None,
 ) -> Fit:
     """Change numbers of a model so that its roll-outs meet the windows.
 
@@ -49,21 +47,16 @@ def fit(
 
     Args:
         responses: of the model as given, in these columns.
-        variance: of each mode at each lag (L, M) [m^2].
-        weight: of each window (W,).
         rounds: steps at most; as many as are of use unless given.
-        most: what each may count at most (W,); by :func:`caphy.refit.fit.judged` unless given.
     """
     columns = tuple(columns)
-    start = judged(model, model, columns, list(responses), variance, weight, most, windows=responses)
-    return refined(study, start, variance, weight, what, rounds)
+    start = judged(model, model, columns, list(responses), weighing, windows=responses)
+    return refined(study, start, what, rounds)
 
 
 def refined(
     study: Study,
     best: Fit,
-    variance: np.ndarray,
-    weight: np.ndarray,
     what: str = "fitting",
     rounds: int | None = None,
     enough: float = 0.0,
@@ -79,7 +72,7 @@ def refined(
         if rounds is None and done >= ROUNDS and fell < _STILL_FALLS:
             return best
         there = moved(best.model, best.columns, step)
-        found = tried(study, best, there, variance, weight, what)
+        found = tried(study, best, there, what)
         before = max(best.misfit, 1e-300)
         fell = 0.0 if found is None else 1 - found.misfit / before
         if found is not None and (fell > -_ROUGH or (found.by_instruments is not None and _falls(best, found, step))):
@@ -132,38 +125,27 @@ def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
     old = best.evidence
     origin = study.respond(best.origin, best.columns, what)
     for _ in range(_WEIGHED):
-        variance = study.variance(best.responses)
-        weight = robust_weights(evidence(best.responses, variance))
-        first = evidence(origin, variance, weight)
-        best = judged(best.origin, best.model, best.columns, best.responses, variance, weight, None, first, origin)
+        weighing = Weighing.robust(best.responses, study.variance(best.responses))
+        first = weighing.of(origin)
+        best = judged(best.origin, best.model, best.columns, best.responses, weighing, None, first, origin)
         if best.settled:
             best = replace(best, converged=True)
             break
-        best = refined(study, best, variance, weight, what)
+        best = refined(study, best, what)
     return replace(best, weighed_first=old)
 
 
-def tried(
-    study: Study,
-    best: Fit,
-    there: Model,
-    variance: np.ndarray,
-    weight: np.ndarray,
-    what: str,
-    anew: Collection[str] = (),
-) -> Fit | None:
+def tried(study: Study, best: Fit, there: Model, what: str, anew: Collection[str] = ()) -> Fit | None:
     """A fit moved to another model, or none where cloth flies apart there."""
     try:
         responses = study.respond(there, best.columns, what, anew=anew)
     except Diverged:
         return None
-    known, snaps = (best.most, best.first, best.windows), best.by_instruments is not None
-    return judged(best.origin, there, best.columns, responses, variance, weight, *known, snaps=snaps)
+    known, snaps = (best.weighing, best.most, best.first, best.windows), best.by_instruments is not None
+    return judged(best.origin, there, best.columns, responses, *known, snaps=snaps)
 
 
-def retold(
-    study: Study, best: Fit, variance: np.ndarray, weight: np.ndarray, what: str = "what mesh and steps do now"
-) -> Fit:
+def retold(study: Study, best: Fit, what: str = "what mesh and steps do now") -> Fit:
     """A fit carried on with what finer steps do otherwise, and a finer mesh where it is known how much of that is
     there, told of the fitted model.
 
@@ -173,14 +155,14 @@ def retold(
     """
     path, there, before = [best.change], best.model, best.by_retelling
     for _ in range(RETELLINGS):
-        told = tried(study, best, there, variance, weight, what, {"solver"})
+        told = tried(study, best, there, what, {"solver"})
         if told is None:
             break
         best = told
         if best.settled:
             best = replace(best, converged=True)
             break
-        best = refined(study, best, variance, weight, what)
+        best = refined(study, best, what)
         path.append(best.change)
         further = _way_left(path, best.asked.normal[0])
         there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model

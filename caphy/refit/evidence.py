@@ -68,6 +68,28 @@ class Evidence:
         return np.einsum("w,wkl->kl", self.weight, self.a), np.einsum("w,wk->k", self.weight, self.b)
 
 
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """What windows are weighed by.
+
+    Attributes:
+        variance: of each mode at each lag (L, M) [m^2].
+        weight: how much each window counts (W,).
+    """
+
+    variance: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def robust(cls, responses: Sequence[Response], variance: np.ndarray) -> Weighing:
+        """By which windows count less of which all columns together leave much."""
+        return cls(variance, robust_weights(evidence(responses, variance)))
+
+    def of(self, responses: Sequence[Response]) -> Evidence:
+        """What these windows say, weighed so."""
+        return evidence(responses, self.variance, self.weight)
+
+
 def evidence(responses: Sequence[Response], variance: np.ndarray, weight: np.ndarray | None = None) -> Evidence:
     """The quadratic forms of windows, given the variance (L, M) [m^2] of each mode at each lag."""
     forms = [_form(response, variance) for response in responses]

@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, at_the_end, changes, extended, from_the_end
-from caphy.refit.evidence import Evidence, borne_out, bounded, evidence, tamed
+from caphy.refit.evidence import Evidence, Weighing, borne_out, bounded, tamed
 from caphy.refit.responses import Response
 
 FURTHEST = 10.0
@@ -40,6 +40,7 @@ class Fit:
         misfit: weighted chi2 over all windows; a window that gets much worse than it was at the origin counts no more
             than twice that, because a fold that snaps the other way says nothing of the numbers.
         most: what each window may count at most (W,).
+        weighing: what windows were weighed by.
         converged: whether another step promised nothing.
         follow: of columns that screens do not know, what those of the effect that theirs refines do to them.
         by_retelling: how far columns, also some that are fitted no more, went because the mesh's error was told of the
@@ -58,6 +59,7 @@ class Fit:
     evidence: Evidence
     misfit: float
     most: np.ndarray
+    weighing: Weighing
     converged: bool = False
     follow: Mapping[Column, Mapping[Column, float]] = field(default_factory=dict)
     by_retelling: Mapping[Column, float] = field(default_factory=dict)
@@ -118,8 +120,7 @@ def judged(
     model: Model,
     columns: tuple[Column, ...],
     responses: list[Response],
-    variance: np.ndarray,
-    weight: np.ndarray,
+    weighing: Weighing,
     most: np.ndarray | None = None,
     first: Evidence | None = None,
     windows: Sequence[Response] = (),
@@ -128,28 +129,28 @@ def judged(
     """Of responses at a model, fitted from an origin; ``first`` is the evidence there, unless it is that model, and
     ``windows`` the responses, where they are known. ``snaps`` where tangents were seen to snap on the way.
 
-    ``variance`` (L, M) [m^2], ``weight`` and ``most`` (W,) as in :func:`caphy.refit.descent.fit`.
+    ``most`` is what each window may count at most (W,); twice what it does here unless given.
     """
-    known = evidence(responses, variance, weight)
+    known = weighing.of(responses)
     each = known.weight * known.c
     most = SNAPPED * each if most is None else most
     known = replace(known, weight=known.weight * np.minimum(1, most / np.maximum(each, 1e-300)))
     misfit = float((known.weight * known.c).sum())
     if first is None:
-        return Fit(origin, model, columns, known, responses, known, misfit, most, windows=tuple(windows))
+        return Fit(origin, model, columns, known, responses, known, misfit, most, weighing, windows=tuple(windows))
     change = changes(extended(origin, columns), model, columns)
     own = borne_out(tamed(known, first), first, change, from_the_end(columns, change))
-    found = Fit(origin, model, columns, first, responses, own, misfit, most, windows=tuple(windows))
+    found = Fit(origin, model, columns, first, responses, own, misfit, most, weighing, windows=tuple(windows))
     if not windows or not change.any() or found.share >= LARGE:
         return found
-    return replace(found, by_instruments=asked_by_instruments(found, variance, known.weight, snaps))
+    return replace(found, by_instruments=asked_by_instruments(found, snaps))
 
 
 _SLOPES = 0.02, 4.0  # of what more of a number does at a fit, over what its first bit does: what is believed
 _IN_COMMON = 0.3  # squared cosine of what tangents here and at the origin do: beyond it they snap little
 
 
-def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray, snaps: bool = False) -> Evidence | None:
+def asked_by_instruments(found: Fit, snaps: bool = False) -> Evidence | None:
     """What windows still ask for, by tangents of where the fit began; none where its own have much in common with them,
     and had on the way, or a fit would go to and fro between what either asks for.
 
@@ -164,13 +165,14 @@ def asked_by_instruments(found: Fit, variance: np.ndarray, weight: np.ndarray, s
         replace(now, columns=np.concatenate([then.columns * unit, now.columns], axis=-1))
         for then, now in zip(found.windows, found.responses, strict=True)
     ]
-    every = evidence(both, variance, weight)
+    weight = found.evidence.weight  # here, where what snapped counts as little
+    every = replace(found.weighing, weight=weight).of(both)
     known, change = every.picked(range(many)), found.change / unit
     (normal, right), by_own = known.normal, every.normal[0][:, many:]
     whole, local, own = (float(change @ part @ change) for part in (normal, by_own[:many], by_own[many:]))
     if not snaps and local**2 > _IN_COMMON * whole * own:
         return None
-    asked_first = unit * (weight @ found.first.b)  # by the weights windows have here: what snapped counts as little
+    asked_first = unit * (weight @ found.first.b)
     so_far = float(change @ (asked_first - right)) / max(whole, 1e-300)
     slope = min(so_far, local / max(whole, 1e-300)) if local > 0 else so_far
     slope = float(np.clip(slope, *_SLOPES))

@@ -12,7 +12,7 @@ from caphy.effects.model import Model
 from caphy.refit.across import SURE, Across, across
 from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
-from caphy.refit.evidence import evidence, robust_weights, tamed
+from caphy.refit.evidence import Weighing, evidence, robust_weights, tamed
 from caphy.refit.fit import Fit, gone, summed
 from caphy.refit.laws import Way
 from caphy.refit.learned import Learned
@@ -177,7 +177,7 @@ class Apart:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""
         study, old = self._rolled_out(origin, self.columns)
         weight = robust_weights(evidence(picked(old, range(len(self.columns))), self.variance))
-        return way.falls(study, self.variance, weight)
+        return way.falls(study, Weighing(self.variance, weight))
 
     def _rolled_out(self, origin: Model, columns: tuple[Column, ...]) -> tuple[Study, list[Response]]:
         """Windows against the model that a fit began with, which most fits have in common, and what knows them."""

@@ -15,7 +15,7 @@ from caphy.effects.model import Model
 from caphy.effects.registry import find_effect, registered_effects
 from caphy.refit.columns import Column, addition, changes, from_the_end, further
 from caphy.refit.descent import refined
-from caphy.refit.evidence import evidence, ridged
+from caphy.refit.evidence import Weighing, ridged
 from caphy.refit.fit import Fit, falls_evenly, judged
 from caphy.refit.study import Study
 
@@ -28,7 +28,7 @@ def laws_of(name: str) -> list[str]:
     return [law for law, effect in registered_effects().items() if effect.refines == name]
 
 
-def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weight: np.ndarray) -> Fit:
+def in_another_law(study: Study, best: Fit, law: str) -> Fit:
     """A fit with the effect ``law`` in the place of the one that it refines, all numbers fitted on.
 
     Its origin has the effect without strength but otherwise as fitted, so that tangents can tell the way from there.
@@ -38,39 +38,29 @@ def in_another_law(study: Study, best: Fit, law: str, variance: np.ndarray, weig
     columns = (*(column for column in best.columns if column.effect != effect.refines), *addition(law))
     values = effect.start(best.model.effects[effect.refines])
     start = best.model.without_effect(effect.refines).with_effect(law, **values)
-    found = _fitted_on(study, best, start, law, columns, variance, weight)
-    led = _led_astray(study, found, law, addition(effect.refines), variance)
+    found = _fitted_on(study, best, start, law, columns)
+    led = _led_astray(study, found, law, addition(effect.refines))
     return replace(found, follow={**found.follow, **led})
 
 
-def told_further(study: Study, best: Fit, name: str, variance: np.ndarray, weight: np.ndarray) -> Fit:
+def told_further(study: Study, best: Fit, name: str) -> Fit:
     """A fit carried on with those parameters of an effect in which it is not linear."""
-    return _fitted_on(study, best, best.model, name, (*best.columns, *further(name)), variance, weight)
+    return _fitted_on(study, best, best.model, name, (*best.columns, *further(name)))
 
 
-def _fitted_on(
-    study: Study,
-    best: Fit,
-    start: Model,
-    name: str,
-    columns: Sequence[Column],
-    variance: np.ndarray,
-    weight: np.ndarray,
-) -> Fit:
+def _fitted_on(study: Study, best: Fit, start: Model, name: str, columns: Sequence[Column]) -> Fit:
     what = f"trying {name}"
     # Errors of the mesh may last have been told of a model that was tried and given up.
     responses = study.respond(start, columns, what, anew={"solver"})
     # Tangents of this start are no instruments: the effect is there, and snaps with it.
-    found = judged(start, start, tuple(columns), responses, variance, weight, best.most)
-    found = refined(study, found, variance, weight, what)
+    found = judged(start, start, tuple(columns), responses, best.weighing, best.most)
+    found = refined(study, found, what)
     idle = _beside(best.origin.without_effect(name), found.model)
-    first = evidence(study.respond(idle, columns, what, anew={"solver"}), variance, best.first.weight)
+    first = best.weighing.of(study.respond(idle, columns, what, anew={"solver"}))
     return replace(found, origin=idle, first=first, by_retelling=best.by_retelling, follow=best.follow)
 
 
-def _led_astray(
-    study: Study, found: Fit, law: str, others: Sequence[Column], variance: np.ndarray
-) -> dict[Column, dict[Column, float]]:
+def _led_astray(study: Study, found: Fit, law: str, others: Sequence[Column]) -> dict[Column, dict[Column, float]]:
     """How far one unit of each of the linear effect's numbers, where it is not there, leads each of the law's astray.
 
     Base measurements know how much of the linear effect mesh and solver look like; of the law they cannot know, since
@@ -78,7 +68,7 @@ def _led_astray(
     """
     many = len(found.columns)
     responses = study.respond(found.model, (*found.columns, *others), f"trying {law}")
-    normal, _ = evidence(responses, variance, found.evidence.weight).normal
+    normal, _ = replace(found.weighing, weight=found.evidence.weight).of(responses).normal
     by = np.array([ridged(normal[:many, :many], right, 1e-9) for right in normal[:many, many:].T]).T
     return {
         column: dict(zip(others, map(float, row), strict=True))
@@ -98,10 +88,10 @@ class Way:
     there: Model
     columns: tuple[Column, ...]
 
-    def falls(self, study: Study, variance: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def falls(self, study: Study, weighing: Weighing) -> np.ndarray:
         """By how much the misfit of each window (W,) falls, as by :func:`caphy.refit.fit.falls_evenly`."""
         here, there = (
-            evidence(study.respond(model, self.columns, "comparing", anew={"solver"}), variance, weight)
+            weighing.of(study.respond(model, self.columns, "comparing", anew={"solver"}))
             for model in (self.here, self.there)
         )
         change = changes(self.here, self.there, self.columns)

@@ -21,7 +21,7 @@ from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, addition, extended, further, moved, strengths, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.descent import fit, refined, retold, weighed_anew
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import Weighing, evidence, robust_weights
 from caphy.refit.fit import Fit, judged
 from caphy.refit.heldout import FALLS, Apart, HeldOut, rises_where_fitted
 from caphy.refit.intervals import intervals
@@ -195,31 +195,32 @@ def _fitted(
         responses = picked(responses, [every.index(column) for column in columns])
         variance = learned.variance
     known = evidence(responses, variance)
-    weight = robust_weights(known)
-    first = _First(float((weight * known.c).sum()), variance, responses)
-    fitted = openings.told(columns, replace(known, weight=weight), DISPENSABLE * first.misfit)
+    weighing = Weighing(variance, robust_weights(known))
+    known = replace(known, weight=weighing.weight)
+    first = _First(float((known.weight * known.c).sum()), variance, responses)
+    fitted = openings.told(columns, known, DISPENSABLE * first.misfit)
     columns, responses = tuple(columns[place] for place in fitted), picked(responses, fitted)
     for name in names:
         if settings(name):
             elsewhere = study.respond(model, (), f"looking for {name}", Settings(model, name))
-            model = in_setting(model, name, best_setting(evidence(elsewhere, variance, weight), model, name)[0])
+            model = in_setting(model, name, best_setting(weighing.of(elsewhere), model, name)[0])
             responses = study.respond(model, columns, "before")
-    best, removed = fit(study, model, columns, responses, variance, weight), []
+    best, removed = fit(study, model, columns, responses, weighing), []
     while len(names) - len(removed) > 1:
         left = [name for name in names if name not in removed]
-        trials = {name: _without(study, best, [n for n in left if n != name], variance, weight) for name in left}
+        trials = {name: _without(study, best, [n for n in left if n != name]) for name in left}
         name = min(trials, key=lambda each: trials[each].misfit)
         if trials[name].misfit - best.misfit > DISPENSABLE * first.misfit:
             break
         best = trials[name]
         removed.append(name)
-    best = retold(study, best, variance, weight)
+    best = retold(study, best)
     for name, law in wanted.items():
         if law != name and name not in removed:
-            best = in_another_law(study, best, law, variance, weight)
+            best = in_another_law(study, best, law)
         elif name not in removed and further(name):
-            on = told_further(study, best, name, variance, weight)
-            if signed_ranks(way(best, on).falls(study, variance, weight)) > BETTER:
+            on = told_further(study, best, name)
+            if signed_ranks(way(best, on).falls(study, weighing)) > BETTER:
                 best = on
     if learned is None:
         best = weighed_anew(study, best)
@@ -228,15 +229,15 @@ def _fitted(
     return best, first, tuple(wanted[name] for name in removed)
 
 
-def _without(study: Study, best: Fit, names: Sequence[str], variance: np.ndarray, weight: np.ndarray) -> Fit:
+def _without(study: Study, best: Fit, names: Sequence[str]) -> Fit:
     """A fit of some of its effects, from the numbers that they have."""
     columns = tuple(column for column in best.columns if column.effect in names)
     windows = picked(best.windows, [best.columns.index(column) for column in columns])
     start = extended(best.origin, columns)
     start = moved(start, columns, np.array([column.value(best.model) for column in columns]))
-    responses, first = study.respond(start, columns, "without one"), evidence(windows, variance, weight)
-    fitted = judged(best.origin, start, columns, responses, variance, weight, None, first, windows)
-    return refined(study, fitted, variance, weight, "without one")
+    responses, first = study.respond(start, columns, "without one"), best.weighing.of(windows)
+    fitted = judged(best.origin, start, columns, responses, best.weighing, None, first, windows)
+    return refined(study, fitted, "without one")
 
 
 def _split(study: Study) -> Study:

@@ -14,6 +14,7 @@ from caphy.diagnose.flexible import Flexible
 from caphy.diagnose.probes import ORDER, STEADY, TO_AND_FRO, WIDTHS, probe_places, probe_pushes, vertex_normals
 from caphy.effects.base import Step
 from caphy.effects.cloth import Cloth
+from caphy.refit.evidence import Weighing
 from caphy.refit.modes import laplacian_modes
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
@@ -44,7 +45,7 @@ def window(start: int) -> tuple[Response, np.ndarray]:
 @pytest.mark.parametrize("first", [0, 3600, 36000])
 def test_a_swing_is_told_as_well_minutes_later(first):
     windows, noises = zip(*(window(first + LENGTH * k + (k > 5)) for k in range(12)), strict=True)
-    found = Flexible.of(STUDY, windows, np.full((LENGTH, MODES), 0.25), np.ones(12))
+    found = Flexible.of(STUDY, windows, Weighing(np.full((LENGTH, MODES), 0.25), np.ones(12)))
     assert found.told[TO_AND_FRO].beat == pytest.approx(BEAT)
     share = 1 - np.square(noises).sum() / sum(np.square(each.residual).sum() for each in windows)
     assert found.gains[TO_AND_FRO] == pytest.approx(share, abs=0.02)

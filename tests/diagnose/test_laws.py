@@ -21,7 +21,7 @@ from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
 from caphy.refit import laws
 from caphy.refit.columns import Column, addition
-from caphy.refit.evidence import Evidence
+from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
 from caphy.refit.laws import signed_ranks
 from caphy.refit.refit import refit
@@ -158,11 +158,11 @@ def test_what_the_base_doubts_of_one_law_is_not_forgotten_with_the_next(monkeypa
     told = {push: {Column("wind_normal", "coefficient"): 0.3}}
     columns = (*addition("wind_normal_quadratic"), *addition("gust"))
     best = SimpleNamespace(columns=columns, model=MODEL, origin=MODEL, most=None, by_retelling={}, follow=told)
-    best.first = SimpleNamespace(weight=None)
+    best.weighing = weighing = Weighing(np.ones((1, 1)), np.ones(1))
     study = SimpleNamespace(respond=lambda *_, **__: [])
     known = Evidence(np.ones((1, 1, 1)), np.ones((1, 1)), np.ones(1), np.ones(1), np.ones(1))
-    fitted = Fit(MODEL, MODEL, columns, known, [], known, 1.0, np.ones(1))
+    fitted = Fit(MODEL, MODEL, columns, known, [], known, 1.0, np.ones(1), weighing)
     monkeypatch.setattr(laws, "judged", lambda *_, **__: fitted)
     monkeypatch.setattr(laws, "refined", lambda *_, **__: fitted)
-    monkeypatch.setattr(laws, "evidence", lambda *_: known)
-    assert laws.told_further(study, best, "gust", known.c, known.c).follow == told
+    monkeypatch.setattr(Weighing, "of", lambda *_: known)
+    assert laws.told_further(study, best, "gust").follow == told

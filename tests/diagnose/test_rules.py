@@ -16,13 +16,14 @@ from caphy.diagnose.search import LEAST_WALD, LEAST_WALD_OVER_BASE, OWN, Search,
 from caphy.effects.model import Model
 from caphy.refit.across import Across
 from caphy.refit.columns import Column, addition, extended, further, moved
-from caphy.refit.evidence import Evidence
+from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
 from caphy.refit.heldout import HeldOut
 
 DRAG, PRESSURE = Group("mass_damping", addition("mass_damping")), Group("pressure", addition("pressure"))
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 STIFFNESS = Group("strain_stvk", (Column("strain_stvk", "lame_mu", None),), own=True)
+EVEN = Weighing(np.ones((1, 1)), np.ones(5))
 
 
 def screen(*scores: Score):
@@ -87,7 +88,7 @@ def test_what_a_relative_change_loses_is_counted_from_where_it_ended():
     """Windows that ask for threefold of a stiffness, all of whose misfit of 4 comes back without it."""
     first, there = (Model(0.2, {"strain_stvk": {"lame_mu": mu}}) for mu in (10.0, 30.0))
     ends = Evidence(np.ones((5, 1, 1)), np.zeros((5, 1)), np.full(5, 4.0), np.ones(5), np.full(5, 40))
-    fit = Fit(first, there, STIFFNESS.columns, ends, [], ends, 20.0, np.ones(5))
+    fit = Fit(first, there, STIFFNESS.columns, ends, [], ends, 20.0, np.ones(5), EVEN)
     assert search._lost(fit, Term(STIFFNESS, fit, {})) == pytest.approx((2 / 3) ** 2 / (4 + (2 / 3) ** 2))
 
 
@@ -115,7 +116,7 @@ def test_parameters_grow_threefold_at_a_time_and_tenfold_in_all(so_far, wanted):
     columns = STIFFNESS.columns
     there = moved(extended(model, columns), columns, np.array([so_far]))
     known = Evidence(np.ones((5, 1, 1)), np.full((5, 1), 1e3), np.full(5, 1e7), np.ones(5), np.full(5, 100))
-    fit = Fit(model, there, columns, known, [], known, 1.0, np.ones(5))
+    fit = Fit(model, there, columns, known, [], known, 1.0, np.ones(5), EVEN)
     assert fit.step == pytest.approx([wanted])
 
 
@@ -321,7 +322,7 @@ def test_parameters_that_go_far_for_little_are_left_alone(fits, left, monkeypatc
     monkeypatch.setattr(base, "fit", fitted)
     monkeypatch.setattr(base, "picked", lambda *_: [])
     monkeypatch.setattr(base, "_far_off", lambda *_: columns)
-    look = SimpleNamespace(columns=tuple(columns), probed=[], variance=None, known=SimpleNamespace(weight=None))
+    look = SimpleNamespace(columns=tuple(columns), probed=[], weighing=None)
     found = base._fitted(None, look, None)
     assert ([] if found is None else [column.name for column in found.columns]) == left
     assert next(answers, None) is None  # all were asked for
@@ -392,14 +393,14 @@ def test_the_race_is_run_on_by_those_that_may_still_come_near_the_best(monkeypat
         assert rounds <= search._HEATS
         return SimpleNamespace(label=score.group.label, share=share, promise=promise, converged=converged)
 
-    def refined(study, fit, variance, weight, what, rounds):
+    def refined(study, fit, what, rounds):
         assert rounds == search.ROUNDS - search._HEATS
         ran.append(fit.label)
         return SimpleNamespace(**vars(fit) | {"share": 0.9})
 
     monkeypatch.setattr(search, "_fitted", fitted)
     monkeypatch.setattr(search, "refined", refined)
-    last = SimpleNamespace(misfit=1.0, variance=None, evidence=SimpleNamespace(weight=None))
+    last = SimpleNamespace(misfit=1.0)
     scores = [SimpleNamespace(group=SimpleNamespace(label=label)) for label in runners]
     found = SimpleNamespace(screens=[last])
     fits = search._raced(None, found, scores, search.ROUNDS)

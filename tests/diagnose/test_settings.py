@@ -13,7 +13,7 @@ from caphy.effects.model import Model
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition, further
 from caphy.refit.descent import fit
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import Weighing
 from caphy.refit.laws import told_further
 from caphy.refit.settings import best_setting, in_setting, settings
 from caphy.refit.study import Study
@@ -24,7 +24,7 @@ MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 def test_another_setting_is_weighed_as_if_all_had_been_rolled_out_in_it():
     study = Study([Scene.of(measured(*simulate(seconds=1.2), seed=1))])
     first = screen(study, MODEL, MODEL)
-    place, share = best_setting(evidence(first.elsewhere["gust"], first.variance, first.evidence.weight), MODEL, "gust")
+    place, share = best_setting(first.weighing.of(first.elsewhere["gust"]), MODEL, "gust")
     assert settings("gust")[place] != {"frequency": 1.0}
     assert 0 < share < 1
     found = _in_setting(study, first, "gust", place, MODEL, None)
@@ -45,9 +45,8 @@ def test_what_retelling_the_mesh_moved_is_still_known_once_a_frequency_is_fitted
     study = Study([Scene.of(measured(*simulate(seconds=1.2), seed=1))])
     columns, model = addition("mass_damping") + addition("gust"), MODEL.with_effect("gust", frequency=1.2)
     windows = study.respond(model, columns)
-    variance = study.variance(windows)
-    weight = robust_weights(evidence(windows, variance))
-    best = replace(fit(study, model, columns, windows, variance, weight, rounds=1), by_retelling={columns[0]: 0.25})
-    on = told_further(study, best, "gust", variance, weight)
+    found = fit(study, model, columns, windows, Weighing.robust(windows, study.variance(windows)), rounds=1)
+    best = replace(found, by_retelling={columns[0]: 0.25})
+    on = told_further(study, best, "gust")
     assert set(on.columns) == {*columns, *further("gust")}
     assert on.by_retelling[columns[0]] == 0.25

@@ -10,7 +10,7 @@ import pytest
 from caphy.effects.model import Model
 from caphy.refit.across import Across, across
 from caphy.refit.columns import addition, extended, moved
-from caphy.refit.evidence import evidence
+from caphy.refit.evidence import Weighing
 from caphy.refit.fit import judged
 from caphy.refit.heldout import HeldOut
 from caphy.refit.responses import Response
@@ -38,9 +38,9 @@ def fitted(wanted: np.ndarray, noise: float = SIGMA):
     first = windows(np.zeros(2), wanted, noise)
     s, e = (np.concatenate([getattr(r, name).reshape(72, -1) for r in first]) for name in ("columns", "residual"))
     values = np.linalg.lstsq(s, e[:, 0], rcond=None)[0]
-    model, weight = moved(extended(MODEL, COLUMNS), COLUMNS, values), np.ones(len(first))
-    told = evidence(first, VARIANCE, weight)
-    return judged(MODEL, model, COLUMNS, windows(values, wanted, noise), VARIANCE, weight, None, told), first
+    model, weighing = moved(extended(MODEL, COLUMNS), COLUMNS, values), Weighing(VARIANCE, np.ones(len(first)))
+    told = weighing.of(first)
+    return judged(MODEL, model, COLUMNS, windows(values, wanted, noise), weighing, None, told), first
 
 
 @pytest.mark.parametrize("size", [0.3, 1.5])  # takes away little, and so much that roll-outs tell it

@@ -12,6 +12,7 @@ from caphy.errors import CaphyError, Diverged
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition
 from caphy.refit.descent import fit
+from caphy.refit.evidence import Weighing
 from caphy.refit.study import Study
 from caphy.solve.newton import Newton
 
@@ -32,23 +33,23 @@ class Fragile(Study):
 def test_a_step_too_far_is_made_shorter() -> None:
     study, columns = Fragile([Scene.of(measured(*simulate(drag=0.3), seed=1))]), addition("mass_damping")
     responses = study.respond(MODEL, columns)
-    variance, weight = study.variance(responses), np.ones(len(responses))
-    free = fit(study, MODEL, columns, responses, variance, weight).change[0]
+    weighing = Weighing(study.variance(responses), np.ones(len(responses)))
+    free = fit(study, MODEL, columns, responses, weighing).change[0]
     assert free > 0.5
     study.most = 0.6 * free
-    found = fit(study, MODEL, columns, responses, variance, weight)
+    found = fit(study, MODEL, columns, responses, weighing)
     assert 0.2 * free < found.change[0] <= study.most and not found.converged
     study.most = 0.0
-    assert fit(study, MODEL, columns, responses, variance, weight).change[0] == 0
+    assert fit(study, MODEL, columns, responses, weighing).change[0] == 0
 
 
 def test_other_mistakes_are_not_hidden() -> None:
     study, columns = Fragile([Scene.of(measured(*simulate(drag=0.3), seed=1))]), addition("mass_damping")
     responses = study.respond(MODEL, columns)
-    variance, weight = study.variance(responses), np.ones(len(responses))
+    weighing = Weighing(study.variance(responses), np.ones(len(responses)))
     study.respond = lambda *rest, **more: (_ for _ in ()).throw(CaphyError("a process died"))  # type: ignore[method-assign]
     with pytest.raises(CaphyError, match="died"):
-        fit(study, MODEL, columns, responses, variance, weight)
+        fit(study, MODEL, columns, responses, weighing)
 
 
 def test_the_solver_says_that_cloth_flew_apart() -> None:

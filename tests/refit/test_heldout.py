@@ -12,7 +12,7 @@ from caphy.effects.model import Model
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition, extended, moved
 from caphy.refit.descent import fit, tried
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import Weighing, evidence
 from caphy.refit.fit import judged
 from caphy.refit.heldout import Apart
 from caphy.refit.learned import Learned
@@ -28,7 +28,7 @@ def test_a_fit_is_judged_alike_whatever_was_judged_before() -> None:
     columns = (*addition("mass_damping"), *addition("air_drag_normal"))
     responses = study.respond(MODEL, columns)
     variance, weight = study.variance(responses), np.ones(len(responses))
-    found = fit(study, MODEL, columns, responses, variance, weight, rounds=1)
+    found = fit(study, MODEL, columns, responses, Weighing(variance, weight), rounds=1)
     other = replace(found, origin=MODEL.with_effect("mass_damping", rate=0.2))  # judged from elsewhere
     told = evidence(responses, variance)
     learned = Learned(MODEL, columns, KNOWN, variance, told, np.zeros(len(responses)), 1.0, 0.0)
@@ -82,14 +82,14 @@ def test_what_the_mesh_keeps_an_effect_from_doing_counts() -> None:
     study, columns, variance = Coarse(), addition("mass_damping"), np.full((4, 6), 9e-6)
     model = moved(extended(MODEL, columns), columns, np.array([Coarse.RATE]))
     responses = study.respond(MODEL, columns)
-    weight = robust_weights(evidence(responses, variance))
-    found = judged(MODEL, MODEL, columns, responses, variance, weight)
-    found = tried(study, found, model, variance, weight, "there")
+    weighing = Weighing.robust(responses, variance)
+    found = judged(MODEL, MODEL, columns, responses, weighing)
+    found = tried(study, found, model, "there")
     assert found is not None
     apart = Apart(study, variance)
     told = [apart.errors(found).share for _ in range(2)]
     ends = Coarse(0.0).respond(MODEL, columns), Coarse(Coarse.RATE).respond(model, columns)
-    old, new = (float((weight * evidence(each, variance).c).sum()) for each in ends)
+    old, new = (float((weighing.weight * weighing.of(each).c).sum()) for each in ends)
     assert told[0] == told[1]  # what was told of the fit the first time is not known the second
     np.testing.assert_allclose(told[0], 1 - new / old, rtol=0.02)
 
@@ -99,7 +99,7 @@ def test_two_models_are_compared_alike_whatever_was_judged_before() -> None:
     columns, variance = addition("mass_damping"), np.full((4, 6), 9e-6)
     model = moved(extended(MODEL, columns), columns, np.array([Coarse.RATE]))
     responses = Coarse().respond(MODEL, columns)
-    found = judged(MODEL, MODEL, columns, responses, variance, np.ones(len(responses)))
+    found = judged(MODEL, MODEL, columns, responses, Weighing(variance, np.ones(len(responses))))
     apart, alone = Apart(Coarse(), variance), Apart(Coarse(), variance)
     apart.errors(found)
     ends = apart.between(MODEL, model).share, alone.between(MODEL, model).share

@@ -9,6 +9,7 @@ from caphy.effects.model import Model
 from caphy.refit import fit
 from caphy.refit.columns import addition
 from caphy.refit.descent import refined
+from caphy.refit.evidence import Weighing
 from caphy.refit.fit import LARGE, Fit, judged
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
@@ -17,6 +18,7 @@ MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
 COLUMNS = addition("mass_damping")
 TRUTH, NOISE, SHAPE = 1.0, 1.5e-3, (8, 10, 3)
 VARIANCE = np.full(SHAPE[:2], NOISE**2)
+EVEN = Weighing(VARIANCE, np.ones(18))
 
 
 class Snapping(Study):
@@ -53,10 +55,10 @@ class Snapping(Study):
 
 
 def fitted(study: Study, by_own_tangents: bool = False) -> Fit:
-    first, weight = study.respond(MODEL, COLUMNS), np.ones(18)
+    first = study.respond(MODEL, COLUMNS)
     windows = () if by_own_tangents else first
-    start = judged(MODEL, MODEL, COLUMNS, first, VARIANCE, weight, windows=windows)
-    return refined(study, start, VARIANCE, weight)
+    start = judged(MODEL, MODEL, COLUMNS, first, EVEN, windows=windows)
+    return refined(study, start)
 
 
 def rate(found: Fit) -> float:
@@ -86,9 +88,9 @@ def test_where_nothing_snaps_both_agree(saturates, monkeypatch):
 
 def test_what_was_seen_to_snap_is_not_asked_again():
     study = Snapping(0.0)
-    start = judged(MODEL, MODEL, COLUMNS, study.respond(MODEL, COLUMNS), VARIANCE, np.ones(18))
+    start = judged(MODEL, MODEL, COLUMNS, study.respond(MODEL, COLUMNS), EVEN)
     there = MODEL.with_effect("mass_damping", rate=0.5)
-    given = MODEL, there, COLUMNS, study.respond(there, COLUMNS), VARIANCE, np.ones(18), start.most, start.first
+    given = MODEL, there, COLUMNS, study.respond(there, COLUMNS), EVEN, start.most, start.first
     windows = study.respond(MODEL, COLUMNS)
     assert judged(*given, windows).by_instruments is None
     assert judged(*given, windows, snaps=True).by_instruments is not None
@@ -108,9 +110,9 @@ def test_what_is_taken_away_so_far_is_told_by_windows_as_they_count_now():
     """Where moves are in proportion to the number it does at the fit what its first bit did."""
     study = Torn(0.0)
     windows = study.respond(MODEL, COLUMNS)
-    start = judged(MODEL, MODEL, COLUMNS, windows, VARIANCE, np.ones(18))
+    start = judged(MODEL, MODEL, COLUMNS, windows, EVEN)
     there = MODEL.with_effect("mass_damping", rate=0.5)
-    given = MODEL, there, COLUMNS, study.respond(there, COLUMNS), VARIANCE, np.ones(18), start.most, start.first
+    given = MODEL, there, COLUMNS, study.respond(there, COLUMNS), EVEN, start.most, start.first
     found = judged(*given, windows, snaps=True)
     assert found.evidence.weight[0] < 0.1
     assert found.by_instruments is not None

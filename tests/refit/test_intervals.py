@@ -11,13 +11,14 @@ from scipy.stats import t as student
 from caphy.effects.model import Model
 from caphy.refit.columns import Column
 from caphy.refit.descent import _way_left
-from caphy.refit.evidence import Evidence
+from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
 from caphy.refit.intervals import half_widths, intervals
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response
 
 DRAG, PRESSURE = Column("mass_damping", "rate"), Column("pressure", "pressure")
+EVEN = Weighing(np.ones((1, 1)), np.ones(15))
 MODEL = Model(0.2, {"gravity": {}})
 
 
@@ -144,7 +145,7 @@ def test_doubt_adds_to_what_resampling_shows():
 def test_a_fit_that_ended_early_says_how_far_it_still_was():
     """Windows that ask for one unit more than the model has: a standard error beside their own, upwards."""
     known, fitted = windows(np.array([1.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=2.0)
-    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
+    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15), EVEN)
     (left,) = np.linalg.solve(known.a.sum(0), known.b.sum(0))
     value, low, high, unit = intervals(fit, None, 3)["mass_damping.rate"]
     assert (value, unit) == (2.0, "1/s")
@@ -155,7 +156,7 @@ def test_a_fit_that_ended_early_says_how_far_it_still_was():
 def test_an_interval_ends_where_the_parameter_does():
     """A rate of damping near zero is not negative."""
     known, fitted = windows(np.array([0.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=1e-3)
-    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
+    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15), EVEN)
     _, low, high, _ = intervals(fit, None, 3)["mass_damping.rate"]
     assert half_widths(known, 0.0)[0][0] > 1e-3
     assert low == 0.0 and high > 1e-3
@@ -164,7 +165,7 @@ def test_an_interval_ends_where_the_parameter_does():
 def test_what_retelling_the_mesh_moved_is_in_doubt():
     """A number that went half a unit because of it may be half a unit off, on either side, beside all else."""
     known, fitted = windows(np.array([0.0]), np.random.default_rng(2)), MODEL.with_effect("mass_damping", rate=2.0)
-    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15))
+    fit = Fit(MODEL, fitted, (DRAG,), known, [], known, 1.0, np.ones(15), EVEN)
     told = replace(fit, by_retelling={DRAG: 0.5, PRESSURE: 9.0})
     (_, low, high, _), (_, lower, higher, _) = (intervals(one, None, 3)["mass_damping.rate"] for one in (fit, told))
     assert 2.0 - lower == pytest.approx(np.hypot(2.0 - low, 0.5), rel=1e-6)
@@ -176,7 +177,9 @@ def test_of_a_relative_number_too():
     stiffness = Column("strain_stvk", "lame_mu", None)
     model, known = Model(0.2, {"strain_stvk": {"lame_mu": 10.0}}), windows(np.array([0.0]), np.random.default_rng(2))
     sharp = replace(known, a=1e6 * known.a, b=0 * known.b)
-    fit = Fit(model, Model(0.2, {"strain_stvk": {"lame_mu": 30.0}}), (stiffness,), sharp, [], sharp, 1.0, np.ones(15))
+    fit = Fit(
+        model, Model(0.2, {"strain_stvk": {"lame_mu": 30.0}}), (stiffness,), sharp, [], sharp, 1.0, np.ones(15), EVEN
+    )
     value, low, high, _ = intervals(replace(fit, by_retelling={stiffness: 0.5}), None, 3)["strain_stvk.lame_mu"]
     assert value == pytest.approx(2.0)
     assert (value - low, high - value) == pytest.approx((0.5, 0.5), rel=1e-2)
@@ -189,7 +192,7 @@ def test_a_fit_has_settled_by_what_its_change_takes_away_where_it_ended():
     one = np.ones((5, 1, 1))
     before = Evidence(one, np.ones((5, 1)), np.full(5, 1e3), np.ones(5), np.full(5, 40))
     after = replace(before, b=np.full((5, 1), 0.05))
-    fit = Fit(first, there, (stiffness,), before, [], after, 1.0, np.ones(5))
+    fit = Fit(first, there, (stiffness,), before, [], after, 1.0, np.ones(5), EVEN)
     assert fit.promise == pytest.approx(5 * 0.05**2)
     assert not fit.settled
 

@@ -20,7 +20,7 @@ from caphy.measure.prediction import predict_in_windows
 from caphy.measure.scene import Scene
 from caphy.refit.columns import addition
 from caphy.refit.descent import fit, retold
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import Weighing, evidence
 from caphy.refit.responses import STEP_DOUBT
 from caphy.refit.study import Study
 
@@ -106,11 +106,9 @@ def fits(scenes: list[Scene], effect: str, mesh: float) -> Iterator[float]:
     """A number fitted where it is known how much of the mesh's error is there: once, then with it told anew."""
     study, columns = Study(scenes, mesh=mesh), addition(effect)
     windows = study.respond(SOFT, columns, anew={"start", "solver"})
-    variance = study.variance(windows)
-    weight = robust_weights(evidence(windows, variance))
-    once = fit(study, SOFT, columns, windows, variance, weight)
+    once = fit(study, SOFT, columns, windows, Weighing.robust(windows, study.variance(windows)))
     yield float(once.change[0])
-    yield float(retold(study, once, variance, weight).change[0])
+    yield float(retold(study, once).change[0])
 
 
 def test_bending_of_cloth_is_measured_on_squares_with_diagonals():

@@ -13,7 +13,7 @@ from caphy.refit import again
 from caphy.refit.again import agreed, fitted_again
 from caphy.refit.columns import addition, tunable
 from caphy.refit.descent import fit
-from caphy.refit.evidence import Evidence, evidence, robust_weights
+from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
 from caphy.refit.study import Study
 
@@ -53,7 +53,7 @@ class Law:
 def fitted(value: float) -> Fit:
     model = MODEL.with_effect(NAME, **{PARAMETER: value})
     known = Evidence(np.ones((8, 1, 1)), np.ones((8, 1)), np.ones(8), np.ones(8), np.ones(8))
-    return Fit(MODEL, model, COLUMNS, known, [], known, 1.0, np.ones(8))
+    return Fit(MODEL, model, COLUMNS, known, [], known, 1.0, np.ones(8), Weighing(np.ones((1, 1)), np.ones(8)))
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():
     columns = [column for column in tunable("strain_stvk", MODEL) if column.parameter == "lame_mu"]
     responses = study.respond(MODEL, columns, "before")
     variance = study.variance(responses)
-    first = fit(study, MODEL, columns, responses, variance, robust_weights(evidence(responses, variance)))
+    first = fit(study, MODEL, columns, responses, Weighing.robust(responses, variance))
     found = fitted_again(study, first, variance)
     assert found is not None
     assert found.fit.origin is MODEL

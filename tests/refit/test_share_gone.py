@@ -9,7 +9,7 @@ import pytest
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column, from_the_end
-from caphy.refit.evidence import Evidence
+from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit, share_gone
 
 COUNT = 12
@@ -87,7 +87,8 @@ def test_settled_when_the_step_left_is_small_beside_the_change():
         left = np.full(COUNT, 1.0 - rate)
         known = Evidence(np.ones((COUNT, 1, 1)), left[:, None], 99.0 + left**2, np.ones(COUNT), np.full(COUNT, 400))
         model = start.with_effect("mass_damping", rate=rate)
-        return Fit(start, model, (drag,), known, [], known, 0.0 + (99.0 + left**2).sum(), known.c)
+        weighing = Weighing(np.ones((1, 1)), known.weight)
+        return Fit(start, model, (drag,), known, [], known, (99.0 + left**2).sum(), known.c, weighing)
 
     assert [at(rate).settled for rate in (0.5, 0.9, 0.97, 1.0)] == [False, False, True, True]
 

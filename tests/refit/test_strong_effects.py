@@ -11,7 +11,7 @@ import pytest
 from caphy.effects.model import Model
 from caphy.refit.columns import addition
 from caphy.refit.descent import fit, weighed_anew
-from caphy.refit.evidence import evidence, robust_weights
+from caphy.refit.evidence import Weighing
 from caphy.refit.responses import Response
 from caphy.refit.study import Study
 
@@ -57,7 +57,7 @@ def fitted(study: Told):
     """The fit from nothing, with what variance and weights say there."""
     responses = study.respond(MODEL, COLUMNS)
     variance = study.variance(responses)
-    return fit(study, MODEL, COLUMNS, responses, variance, robust_weights(evidence(responses, variance)))
+    return fit(study, MODEL, COLUMNS, responses, Weighing.robust(responses, variance))
 
 
 def test_a_fit_does_not_end_on_its_way():
