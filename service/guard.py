@@ -9,6 +9,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 from time import monotonic
 from typing import Annotated, Final, TypeVar
 
@@ -96,13 +97,15 @@ class Guard:
         client.tokens = min(self._burst, client.tokens + rate * (now - client.counted_at))
         client.counted_at = now
         if client.tokens < 1:
-            raise self.refusal(429, "rate", f"one client may send {rate:g} requests per second")
+            seconds = ceil((1 - client.tokens) / rate)
+            raise self.refusal(429, "rate", f"one client may send {rate:g} requests per second", seconds)
         client.tokens -= 1
 
-    def refusal(self, status: int, reason: str, detail: str) -> Problem:
-        """The problem to raise, counted as refused."""
+    def refusal(self, status: int, reason: str, detail: str, seconds: int = 1) -> Problem:
+        """The problem to raise, counted as refused; what is refused now may pass in so many seconds."""
         self.metrics.refused.labels(reason).inc()
-        return Problem(status, f"{detail}; try again in a second", {"retry-after": "1"})
+        when = "a second" if seconds == 1 else f"{seconds} seconds"
+        return Problem(status, f"{detail}; try again in {when}", {"retry-after": str(seconds)})
 
     def buffer(self, count: int) -> None:
         """Note ``count`` more bytes held, or fewer where it is negative; from any thread."""

@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import anyio
 import pytest
@@ -114,12 +114,15 @@ def test_less_than_a_request_per_second_is_one_now_and_then(monkeypatch):
     clock = [0.0]
     monkeypatch.setattr(guard, "monotonic", lambda: clock[0])
     guarded = Guard(Settings(max_client_rate=0.25), Metrics())
-    passed = []
+    passed, after = [], []
     for clock[0] in range(12):
-        with suppress(Problem):
+        try:
             guarded.count_request(guarded.client("192.0.2.1"))
             passed.append(clock[0])
+        except Problem as refused:
+            after.append(refused.headers["retry-after"])
     assert passed == [0, 4, 8]
+    assert after == ["3", "2", "1"] * 3
 
 
 def test_other_clients_are_not_held_back():
