@@ -32,7 +32,7 @@ def hurry(put=setattr) -> None:
     """Have the registration look at less; ``put`` as setattr."""
     from caphy.commands import fabric
     from caphy.garment.families import make
-    from caphy.register import eases, fit, template
+    from caphy.register import fit, hanging, template
     from caphy.training import collide
 
     torch.set_num_threads(1)
@@ -46,9 +46,9 @@ def hurry(put=setattr) -> None:
         "made",
         lambda choice, figure: make(replace(choice.style, edge_length=0.036), template.dressed_body(figure)),
     )
-    put(eases, "ROUNDS", 1)
-    put(eases, "EDGE_LENGTHS", (0.05,))
-    put(eases, "ITERATIONS", 5)
+    put(hanging, "ROUNDS", 1)
+    put(hanging, "EDGE_LENGTHS", (0.05,))
+    put(hanging, "ITERATIONS", 5)
     put(collide, "LEAST_STEPS", 2)
     put(fabric, "main", softer)
 
