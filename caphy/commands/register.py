@@ -396,7 +396,7 @@ def _hung(
         style = hung_style(choice.style, figure, targets, sheets, model, progress, hang)
         return style, cut(style)
     except CaphyError as error:
-        print(f"the {kind} garment's eases are told by distances alone: {error}")
+        print(f"the {kind} garment is cut without being hung: {error}")
         return choice.style, cut(choice.style)
 
 

@@ -195,4 +195,4 @@ def test_a_cut_with_faces_of_no_area_is_not_kept(spoilt, capsys, monkeypatch):
         return
     style, garment = _hung(choice, None, [target], [], model, None, Kept())
     assert style is told and garment.material.any()
-    assert "the upper garment's eases are told by distances alone: garment" in capsys.readouterr().out
+    assert "the upper garment is cut without being hung: garment" in capsys.readouterr().out
