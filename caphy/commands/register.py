@@ -253,11 +253,10 @@ def _garment(
         garment, told = linear_garment(style, linear, fit.figure, kind), {"coefficients": linear.coefficients.tolist()}
         distance, looked_at = linear.distance, linear.looked_at
     else:
-        placements = [fit.placements[i] for i in chosen]
         with Progress() as progress:
             choice = _chosen(kept, kept.key("style", given), lambda: choose(fit.figure, targets, kind, progress))
             if worn is not None:
-                points = [ScanPoints.of(*each) for each in zip(clouds, placements, strict=True)]
+                points = [ScanPoints.of(cloud, fit.placements[i]) for cloud, i in zip(clouds, chosen, strict=True)]
                 choice = _outermost(choice, Garment.load(beneath), fit.figure, points)
             nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
             style, garment = _hung(choice, fit.figure, targets[:SCANS], nearest, model, progress, kept)

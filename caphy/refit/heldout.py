@@ -176,8 +176,7 @@ class Apart:
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""
         study, old = self._rolled_out(origin, self.columns)
-        weight = robust_weights(evidence(picked(old, range(len(self.columns))), self.variance))
-        return way.falls(study, Weighing(self.variance, weight))
+        return way.falls(study, Weighing.robust(picked(old, range(len(self.columns))), self.variance))
 
     def _rolled_out(self, origin: Model, columns: tuple[Column, ...]) -> tuple[Study, list[Response]]:
         """Windows against the model that a fit began with, which most fits have in common, and what knows them."""
