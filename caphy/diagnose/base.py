@@ -30,7 +30,7 @@ from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column
 from caphy.refit.crew import Crew
 from caphy.refit.descent import fit
-from caphy.refit.evidence import Evidence, Weighing, evidence, ridged, robust_weights
+from caphy.refit.evidence import Evidence, Weighing, ridged
 from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
 from caphy.refit.responses import Response, median_mm, picked
@@ -194,8 +194,7 @@ def _looked(study: Study, model: Model, free: Sequence[Response], most_of_mesh: 
     probed = [response.with_mesh(study.mesh) for response in free]
     responses = picked(probed, range(len(columns)))
     variance = study.variance(responses)
-    known = evidence(responses, variance)
-    known = replace(known, weight=robust_weights(known))
+    known = Weighing.robust(responses, variance).of(responses)
     ridge = min(RIDGES, key=lambda each: float(known.misfit(np.array(_left_out(known, each))).sum()))
     return _Look(groups, columns, places, probed, variance, known, ridge)
 

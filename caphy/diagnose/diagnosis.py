@@ -12,7 +12,7 @@ from caphy.body.model import BodyModel
 from caphy.diagnose.ambiguity import advice, alike
 from caphy.diagnose.base import Base, base_of, checked_scenes
 from caphy.diagnose.checks import require_one_cloth
-from caphy.diagnose.groups import columns_of
+from caphy.diagnose.groups import Group, columns_of
 from caphy.diagnose.laws import settle_laws
 from caphy.diagnose.noticed import LISTED, by_roll_outs, by_tangents
 from caphy.diagnose.outside import Outside, outside
@@ -31,7 +31,7 @@ from caphy.refit.columns import strengths
 from caphy.refit.crew import Crew
 from caphy.refit.descent import weighed_anew
 from caphy.refit.heldout import Apart, HeldOut, rises_where_fitted
-from caphy.refit.intervals import intervals
+from caphy.refit.intervals import acts, intervals
 from caphy.refit.responses import Response, median_mm
 from caphy.refit.study import Study
 
@@ -175,7 +175,7 @@ def diagnose(
         others.mesh = study.mesh
         apart = Apart(others, found.screens[0].variance, known_of, known)
         found = each_proven(study, found, apart.errors)
-        settle_rivals(study, found, apart)
+        settle_rivals(study, found, apart, known)
     settle_laws(study, found, apart)
     if known is None and found.fit is not None:
         found.fit = weighed_anew(study, found.fit)
@@ -209,7 +209,10 @@ def _concluded(
             found.fit, before, earlier = again.fit, again.before, numbers
             numbers = _coefficients(found, base, len(study.scenes))
             notes.append(_went(again.times, earlier, numbers))
-            errors = None if apart is None else apart.registered_by(again.fit.model).errors(again.fit)
+            if apart is not None:
+                there = apart.registered_by(again.fit.model)
+                errors = there.errors(again.fit)
+                notes += _held_out_as_before(apart, there)
             # Clouds registered with it favour it more than the first ones did: here it must hold all the more.
             if reason := _not_believed(found, before, errors, numbers):
                 notes.append(_taken_back(terms, reason))
@@ -227,11 +230,11 @@ def _concluded(
     by_base = None if base is None or not base.changed else _by_base(apart, given, start)
     if not kept:
         errors = by_base or (errors.unchanged if errors is not None else _of_none(apart, start))
-    similar = {term.group.name: alike(found, term) for term in kept}
+    similar = _similar(found, kept)
     return Diagnosis(
         verdict=verdict,
         found=tuple(dict.fromkeys(term.group.name for term in kept if not term.group.own)),
-        groups={term.group.name: (term.group.name, *(g.name for g in similar[term.group.name])) for term in kept},
+        groups={name: (name, *(group.name for group in groups)) for name, groups in similar.items()},
         advice={
             f"{term.group.name} or {other.name}": advice(term.group, other)
             for term in kept
@@ -253,6 +256,15 @@ def _concluded(
         study=study,
         notes=tuple(notes),
     )
+
+
+def _similar(found: Search, terms: Sequence[Term]) -> dict[str, list[Group]]:
+    """What moves the cloth like accepted effects, by their names; of one there may be several, at other openings."""
+    similar: dict[str, list[Group]] = {}
+    for term in terms:
+        every = [*similar.get(term.group.name, ()), *alike(found, term)]
+        similar[term.group.name] = list({group.name: group for group in every}.values())
+    return similar
 
 
 def _by_base(apart: Apart | None, given: Model, start: Model) -> HeldOut | None:
@@ -284,10 +296,17 @@ def _went(times: int, earlier: Mapping[str, Coefficient], numbers: Mapping[str, 
 
 def _as_registered_first(study: Study) -> list[str]:
     """Why clouds were not registered again, in words; nothing where there are none."""
-    if not any(scene.slides for scene in study.scenes):
+    if not study.of_clouds:
         return []
     why = study.why_not or "its cloth flies apart"
     return [f"clouds were not registered again by what was fitted to them: {why}"]
+
+
+def _held_out_as_before(apart: Apart, there: Apart) -> list[str]:
+    """Why held-out clouds could not be registered by what was fitted, in words; nothing where they were."""
+    if there.study is not apart.study:
+        return []
+    return [f"held-out clouds were not registered again by what was fitted: {apart.study.why_not}"]
 
 
 def unconverged(responses: Sequence[Response]) -> list[str]:
@@ -323,10 +342,9 @@ def _doubtful(found: Search, base: Base | None, motions: int) -> Term | None:
     """Of several accepted effects the last of which no number differs from zero for sure."""
     if len(found.terms) < 2:
         return None
-    numbers = _coefficients(found, base, motions)
+    assert found.fit is not None
     for term in reversed(found.terms):
-        told = [numbers[name] for name in strengths(term.group.columns)]
-        if not any(number.low > 0 or number.high < 0 for number in told):
+        if not acts(found.fit, term.group.columns, base, motions):
             return term
     return None
 

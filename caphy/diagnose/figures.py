@@ -88,7 +88,8 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
             said.append(f"These measurements cannot tell {name} from {_listed(group[1:])}.")
     said += [f"To tell {pair.replace(' or ', ' from ')}: {what}." for pair, what in diagnosis.advice.items()]
     before, after = diagnosis.median_mm
-    noise = "" if diagnosis.noise_mm is None else f"; noise alone gives {diagnosis.noise_mm:.2f} mm"
+    most = "at most " if diagnosis.study.of_clouds else ""
+    noise = "" if diagnosis.noise_mm is None else f"; noise alone gives {most}{diagnosis.noise_mm:.2f} mm"
     if diagnosis.coefficients:
         goes = "falls" if after < before else "rises"
         said.append(f"The median distance in the windows {goes} from {before:.2f} to {after:.2f} mm{noise}.")

@@ -26,6 +26,8 @@ def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None
     either end of the way between the fits, and windows count by rank: where a fold snaps under one law and not under
     the other, a window's misfit differs ten times as much as elsewhere and says nothing of the law.
     """
+    aside = study.likewise()  # what is not taken leaves what mesh and steps do as it was told
+    before = found.fit
     for place, term in enumerate(found.terms):
         if term.group.own or found.fit is None:
             continue
@@ -33,12 +35,14 @@ def settle_laws(study: Study, found: Search, apart: Apart | None = None) -> None
         if laws := laws_of(name):
             linear = found.fit
             for law in laws:
-                fitted = in_another_law(study, linear, law)
+                fitted = in_another_law(aside, linear, law)
                 group = Group(law, addition(law))
-                found.terms[place] = _settled(study, found, found.terms[place], group, fitted, apart)
+                found.terms[place] = _settled(aside, found, found.terms[place], group, fitted, apart)
         elif more := further(name):
-            fitted = told_further(study, found.fit, name)
-            found.terms[place] = _settled(study, found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
+            fitted = told_further(aside, found.fit, name)
+            found.terms[place] = _settled(aside, found, term, Group(name, (*term.group.columns, *more)), fitted, apart)
+    if found.fit is not None and found.fit is not before:
+        study.tell(found.fit.model, "in another law")
 
 
 def _settled(study: Study, found: Search, term: Term, law: Group, after: Fit, apart: Apart | None) -> Term:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -59,18 +60,35 @@ def by_roll_outs(study: Study, screen: Screen, score: Score, wald: float) -> dic
     few, what = study.some(windows), "what would have been noticed"
     # The mesh's error may last have been told of a model that was tried and given up.
     before = few.respond(screen.model, [column], what, anew={"solver"})
-    size, found[column.name] = needed, None
-    for _ in range(_ROLL_OUTS):
-        if size > most:
-            break
+    tried, found[column.name] = [], None
+    while len(tried) < _ROLL_OUTS and (size := _next_size(tried, needed, most)) <= most:
         try:
             after = few.respond(moved(screen.model, [column], np.array([size])), (), what)
         except Diverged:
             break
         does = [replace(old, residual=old.residual - new.residual) for old, new in zip(before, after, strict=True)]
         normal, right = evidence(does, screen.variance, screen.evidence.weight[windows]).normal
-        looks = float(right[0] / normal[0, 0])
-        if looks >= _AS_PROMISED * needed:
-            return {**found, column.name: size}
-        size *= min(max(needed / max(looks, 1e-300), 1.2), 3.0)
+        tried.append((size, max(float(right[0] / normal[0, 0]), 1e-300)))
+        if tried[-1][1] >= _AS_PROMISED * needed:
+            return {**found, column.name: _reaching(tried, _AS_PROMISED * needed)}
     return found
+
+
+def _next_size(tried: Sequence[tuple[float, float]], needed: float, most: float) -> float:
+    """The size to try after some, each with the size that it looks like; beyond ``most`` where none is left."""
+    if not tried:
+        return needed
+    size, looks = tried[-1]
+    if size == most:
+        return np.inf
+    if len(tried) == _ROLL_OUTS - 1:  # what is noticed at no size is not noticed at the largest
+        return most
+    return min(size * min(max(needed / looks, 1.2), 3.0), most)
+
+
+def _reaching(tried: Sequence[tuple[float, float]], wanted: float) -> float:
+    """The size that looks like a wanted one, which the last of some does, by a power law through the last two."""
+    if len(tried) < 2:
+        return tried[-1][0]
+    (small, less), (large, more) = tried[-2:]
+    return small * (large / small) ** float(np.log(wanted / less) / np.log(more / less))

@@ -19,14 +19,16 @@ def each_proven(study: Study, found: Search, held_out: Callable[[Fit], HeldOut])
     measurements taught: a second effect that explains it in the windows that it was fitted to need not be there.
     ``held_out`` judges a fit.
     """
+    aside = study.likewise()  # what is not taken back leaves what mesh and steps do as it was told
     while len(found.terms) > 1 and found.fit is not None:
         there = held_out(found.fit)
         for term in reversed([term for term in found.terms if term.slight or term is not found.terms[0]]):
-            trial = replace(found, terms=list(found.terms), removed=list(found.removed))
-            take_back(study, trial, term)
+            trial = replace(found, terms=list(found.terms))
+            take_back(aside, trial, term)
             assert trial.fit is not None
             if not _felt(term, there, held_out(trial.fit)):
                 found = trial
+                study.tell(trial.fit.model, f"without {term.group.label}")
                 break
         else:
             break

@@ -124,7 +124,6 @@ class Search:
 
     screens: list[Screen] = field(default_factory=list)
     terms: list[Term] = field(default_factory=list)
-    removed: list[str] = field(default_factory=list)
     fit: Fit | None = None
 
     def accept(self, term: Term) -> None:
@@ -450,7 +449,6 @@ def take_back(study: Study, found: Search, term: Term) -> None:
     """Remove one of several accepted effects, and fit the others without it."""
     others = [other for other in found.terms if other is not term]
     found.fit = refitted(study, found, [other.group for other in others], f"without {term.group.label}")
-    found.removed.append(term.group.label)
     found.terms = others
 
 

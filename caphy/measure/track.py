@@ -145,6 +145,16 @@ def _resized(change: np.ndarray) -> str:
     return f", with {' and '.join(ways)} than the model has it" if change.any() else ""
 
 
+def _rim(scene: Scene) -> Rim:
+    try:
+        return Rim.of(scene.garment.vertices, scene.garment.faces)
+    except ValueError as error:
+        raise CaphyError(
+            f"{scene.garment.name}: points are drawn to where the cloth ends, so its boundary must be of loops that do "
+            "not touch, got one that is pinched at a vertex; repair the mesh (split that vertex)"
+        ) from error
+
+
 class _Tracker:
     def __init__(self, scene: Scene, model: Model) -> None:
         self.scene, self.measurement = scene, scene.measurement
@@ -164,7 +174,7 @@ class _Tracker:
         self.noise = 0.0 if noise is None else noise.sigma
         self.reach = _FAR + 5 * self.noise
         self.faces, self.mass = scene.garment.faces, self.potential.cloth.mass
-        self.rim = Rim.of(scene.garment.vertices, self.faces)
+        self.rim = _rim(scene)
         self.sized: Potential | None = None
         if find_effect(_SIZE).lenders(model.effects) is not None:
             there = _SIZE in model.effects

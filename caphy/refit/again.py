@@ -14,7 +14,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.errors import Diverged
-from caphy.refit.columns import changes, extended, moved
+from caphy.refit.columns import changes, extended
 from caphy.refit.descent import fit, gone_further, refined, retold, tried, weighed_anew
 from caphy.refit.evidence import Weighing
 from caphy.refit.fit import Fit
@@ -66,7 +66,7 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray, weigh: bool = Fa
         meeting = agreed(pairs, metric)
         if _size(meeting - told, metric) < _STAYS * _size(told, metric):
             break
-        there = moved(best.origin, best.columns, meeting)
+        there = best.ahead(meeting)
     if found is None:
         return None
     if weigh:

@@ -122,7 +122,7 @@ def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
     """
     if best.share < LARGE:
         return best
-    old = best.evidence
+    old, kept = best.evidence, {"by_retelling": best.by_retelling, "follow": best.follow}
     origin = study.respond(best.origin, best.columns, what)
     for _ in range(_WEIGHED):
         weighing = Weighing.robust(best.responses, study.variance(best.responses))
@@ -132,7 +132,7 @@ def weighed_anew(study: Study, best: Fit, what: str = "weighing anew") -> Fit:
             best = replace(best, converged=True)
             break
         best = refined(study, best, what)
-    return replace(best, weighed_first=old)
+    return replace(best, weighed_first=old, **kept)
 
 
 def tried(study: Study, best: Fit, there: Model, what: str, anew: Collection[str] = ()) -> Fit | None:
@@ -165,7 +165,7 @@ def retold(study: Study, best: Fit, what: str = "what mesh and steps do now") ->
         best = refined(study, best, what)
         path.append(best.change)
         further = _way_left(path, best.asked.normal[0])
-        there = moved(best.origin, best.columns, best.change + further) if further.any() else best.model
+        there = best.ahead(best.change + further) if further.any() else best.model
     return replace(best, by_retelling=gone_further(before, best.columns, best.change - path[0]))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from caphy.effects.model import Model
-from caphy.refit.columns import Column, at_the_end, changes, extended, from_the_end
+from caphy.refit.columns import Column, at_the_end, changes, extended, from_the_end, moved
 from caphy.refit.evidence import Evidence, Weighing, borne_out, bounded, tamed
 from caphy.refit.responses import Response
 
@@ -99,6 +99,13 @@ class Fit:
         lower, upper = np.array(limits).reshape(-1, 2).T
         normal, right = self.asked.normal
         return bounded(normal, factor * right, lower, upper)
+
+    def ahead(self, change: np.ndarray) -> Model:
+        """The model at another change (K,) since the origin, as told by steps so far: of proportional numbers of at
+        most :data:`FURTHEST` either way, beyond which such a line may cross zero."""
+        bounds = (1 / FURTHEST - 1, FURTHEST - 1)
+        kept = [np.clip(by, *bounds) if c.entry is None else by for c, by in zip(self.columns, change, strict=True)]
+        return moved(self.origin, self.columns, np.array(kept))
 
     @property
     def promise(self) -> float:

@@ -12,7 +12,7 @@ from caphy.effects.model import Model
 from caphy.refit.across import SURE, Across, across
 from caphy.refit.borrowed import Few, where_few_decide
 from caphy.refit.columns import Column, from_the_end
-from caphy.refit.evidence import Weighing, evidence, robust_weights, tamed
+from caphy.refit.evidence import Weighing, tamed
 from caphy.refit.fit import Fit, gone, summed
 from caphy.refit.laws import Way
 from caphy.refit.learned import Learned
@@ -133,10 +133,10 @@ class Apart:
         told_before = study.respond(fitted.model, fitted.columns, "held-out windows")
         new = study.likewise().respond(fitted.model, fitted.columns, "held-out windows", anew={"solver"})
         known = picked(old, [every.index(column) for column in fitted.columns])
-        before = evidence(known, self.variance)
-        before = replace(before, weight=robust_weights(before))
+        weighing = Weighing.robust(known, self.variance)
+        before = weighing.of(known)
         last = from_the_end(fitted.columns, fitted.change)
-        after, told = (evidence(each, self.variance, before.weight) for each in (told_before, new))
+        after, told = (weighing.of(each) for each in (told_before, new))
         shares = gone(before, tamed(after, before), fitted.change, last)
         by_telling = before.weight * (after.c - told.c) / max(float((before.weight * before.c).sum()), 1e-300)
         rare = where_few_decide(before, known, self.variance, fitted.change)
@@ -151,9 +151,10 @@ class Apart:
         """Roll out two models of which nothing else is known; their misfits are compared as they are."""
         study = self.study.afresh()
         new, old = (study.respond(each, (), "held-out windows", anew={"solver"}) for each in (after, before))
-        was, now = (evidence(picked(each, ()), self.variance) for each in (old, new))
-        weight = robust_weights(was)
-        fell, whole = weight * (was.c - now.c), float((weight * was.c).sum())
+        plain = [picked(each, ()) for each in (old, new)]
+        weighing = Weighing.robust(plain[0], self.variance)
+        was, now = (weighing.of(each) for each in plain)
+        fell, whole = was.weight * (was.c - now.c), float((was.weight * was.c).sum())
         error = np.sqrt(len(fell)) * fell.std(ddof=1) / whole if len(fell) > 1 else np.inf
         return self._held_out(old, new, float(fell.sum()) / whole, float(error))
 
@@ -176,7 +177,7 @@ class Apart:
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""
         study, old = self._rolled_out(origin, self.columns)
-        return way.falls(study, Weighing.robust(picked(old, range(len(self.columns))), self.variance))
+        return way.falls(study.likewise(), Weighing.robust(picked(old, range(len(self.columns))), self.variance))
 
     def _rolled_out(self, origin: Model, columns: tuple[Column, ...]) -> tuple[Study, list[Response]]:
         """Windows against the model that a fit began with, which most fits have in common, and what knows them."""

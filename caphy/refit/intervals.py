@@ -3,12 +3,14 @@ what all windows miss alike, as far as base measurements tell."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
 from caphy.refit.borrowed import deciding, few
-from caphy.refit.columns import at_the_end
+from caphy.refit.columns import Column, at_the_end, strengths
 from caphy.refit.evidence import Evidence, inverse, ridged
 from caphy.refit.fit import Fit
 from caphy.refit.learned import Learned
@@ -88,3 +90,10 @@ def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tupl
             low, high = max(low, column.declared.lower), min(high, column.declared.upper)
         found[column.name] = (float(value), float(low), float(high), column.unit)
     return found
+
+
+def acts(fit: Fit, columns: Sequence[Column], learned: Learned | None, motions: int) -> bool:
+    """Whether of some fitted numbers one that is zero where nothing acts surely is not; the rest as in
+    :func:`intervals`."""
+    told = intervals(fit, learned, motions)
+    return any(low > 0 or high < 0 for _, low, high, _ in (told[name] for name in strengths(columns)))

@@ -21,7 +21,7 @@ from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, addition, extended, further, moved, strengths, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.descent import fit, refined, retold, weighed_anew
-from caphy.refit.evidence import Weighing, evidence, robust_weights
+from caphy.refit.evidence import Weighing
 from caphy.refit.fit import Fit, judged
 from caphy.refit.heldout import FALLS, Apart, HeldOut, rises_where_fitted
 from caphy.refit.intervals import intervals
@@ -194,9 +194,8 @@ def _fitted(
         responses = study.correct(responses, every, learned.correction_in(responses, every))
         responses = picked(responses, [every.index(column) for column in columns])
         variance = learned.variance
-    known = evidence(responses, variance)
-    weighing = Weighing(variance, robust_weights(known))
-    known = replace(known, weight=weighing.weight)
+    weighing = Weighing.robust(responses, variance)
+    known = weighing.of(responses)
     first = _First(float((known.weight * known.c).sum()), variance, responses)
     fitted = openings.told(columns, known, DISPENSABLE * first.misfit)
     columns, responses = tuple(columns[place] for place in fitted), picked(responses, fitted)
@@ -215,18 +214,27 @@ def _fitted(
         best = trials[name]
         removed.append(name)
     best = retold(study, best)
-    for name, law in wanted.items():
-        if law != name and name not in removed:
-            best = in_another_law(study, best, law)
-        elif name not in removed and further(name):
-            on = told_further(study, best, name)
-            if signed_ranks(way(best, on).falls(study, weighing)) > BETTER:
-                best = on
+    best = _in_laws(study, best, {name: law for name, law in wanted.items() if name not in removed}, weighing)
     if learned is None:
         best = weighed_anew(study, best)
     for name in removed:  # what was put where it was looked for
-        best = replace(best, model=best.model.without_effect(name))
+        best = replace(best, model=best.model.without_effect(name), origin=best.origin.without_effect(name))
     return best, first, tuple(wanted[name] for name in removed)
+
+
+def _in_laws(study: Study, best: Fit, wanted: Mapping[str, str], weighing: Weighing) -> Fit:
+    """A fit in the laws that are wanted of its effects, or with further parameters of these where that does more."""
+    aside, found = study.likewise(), best  # what is not kept leaves what mesh and steps do as it was told
+    for name, law in wanted.items():
+        if law != name:
+            found = in_another_law(aside, found, law)
+        elif further(name):
+            on = told_further(aside, found, name)
+            if signed_ranks(way(found, on).falls(aside, weighing)) > BETTER:
+                found = on
+    if found is not best:
+        study.tell(found.model, "in the laws wanted")
+    return found
 
 
 def _without(study: Study, best: Fit, names: Sequence[str]) -> Fit:

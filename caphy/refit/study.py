@@ -63,6 +63,11 @@ class Study:
         self._known_as = None if crew is None else crew.learn(self.scenes, length, like and like._known_as)
 
     @property
+    def of_clouds(self) -> bool:
+        """Whether its vertices were registered from clouds."""
+        return any(scene.slides for scene in self.scenes)
+
+    @property
     def on_body(self) -> bool:
         """Whether cloth meets a body in any of the scenes."""
         return any(each.scene.motion is not None for each in self.watched)
@@ -86,7 +91,11 @@ class Study:
 
     @property
     def floors_mm(self) -> list[float]:
-        """Median distance from the truth by noise alone, in each scene where it is known [mm]."""
+        """Median distance from the truth by noise alone, in each scene where it is known [mm].
+
+        Of clouds it is an upper bound, that of single points: how many of them a registered vertex averages depends on
+        cloth and model.
+        """
         noise = [(measurement_noise(each.scene.measurement), each.scene.slides) for each in self.watched]
         return [1e3 * (n.median_across if slides else n.median) for n, slides in noise if n is not None]
 
@@ -121,6 +130,10 @@ class Study:
             if self.progress is not None:
                 self.progress(what, len(found), len(places))
         return [found[place] for place in range(len(places))]
+
+    def tell(self, model: Model, what: str) -> None:
+        """Tell the errors of time step and mesh of a model in place of an earlier one's."""
+        self.respond(model, (), what, anew={"solver"})
 
     def _responses(
         self,
@@ -180,7 +193,7 @@ class Study:
     def registered_by(self, model: Model) -> Study:
         """The same windows, clouds registered by another model; what is known of them holds. This study itself where
         that model does not follow its clouds, which :attr:`why_not` says, or there are none."""
-        if not any(scene.slides for scene in self.scenes):
+        if not self.of_clouds:
             return self
         try:
             clouds = [scene.unregistered for scene in self.scenes]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -398,3 +399,29 @@ def test_what_tangents_told_is_tried_no_more(named, apart):
     before = found.fit
     settle_rivals(named.study, found, apart)
     assert found.fit is before and found.terms[0].group.name == WRONG
+
+
+def only(name: str) -> Callable[..., bool]:
+    """As if windows agreed only on how much there is of one effect."""
+    return lambda _fit, columns, *_: columns[0].effect == name
+
+
+def test_what_may_be_nothing_gives_way_to_what_surely_acts(named, apart, monkeypatch):
+    """As hysteresis was taken for a viscosity of 2.10 N s/m, and then given up."""
+    monkeypatch.setattr(rivals, "acts", only(HIDDEN))
+    found, errors = mistaken(named, told=True), apart.errors
+    turned = lambda fitted: replace(errors(fitted), after_mm=-errors(fitted).after_mm)  # noqa: E731
+    monkeypatch.setattr(apart, "errors", turned)
+    settle_rivals(named.study, found, apart)
+    (term,) = found.terms
+    assert term.group.name == HIDDEN and found.fit is term.fit
+    assert [group.name for group in term.even] == [WRONG]  # which leaves less of what is held out
+
+
+def test_what_may_be_nothing_does_not_take_the_place_of_what_surely_acts(named, apart, monkeypatch):
+    monkeypatch.setattr(rivals, "acts", only(WRONG))
+    found = mistaken(named, told=False)
+    before = found.fit
+    settle_rivals(named.study, found, apart)
+    assert found.fit is before and found.terms[0].group.name == WRONG
+    assert [group.name for group in found.terms[0].even] == [HIDDEN]

@@ -111,6 +111,12 @@ def test_what_grows_less_and_less_needs_more():
     assert 0.9 * LEAST <= windows.does(found) < 1.2 * LEAST
 
 
+def test_what_grows_slowly_is_looked_for_up_to_the_largest_size():
+    windows = Windows(lambda size: 0.5 * LEAST * (size / LEAST) ** 0.4)
+    assert by_roll_outs(windows, screen(), SCORE, WALD) == {NAME: pytest.approx((0.9 / 0.5) ** 2.5 * LEAST, rel=1e-3)}
+    assert len(windows.rolled) <= 4
+
+
 def test_what_stops_growing_is_noticed_at_no_size():
     windows = Windows(lambda size: LEAST * np.tanh(size / LEAST) / 1.5)
     assert by_roll_outs(windows, screen(), SCORE, WALD) == {NAME: None}

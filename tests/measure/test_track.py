@@ -117,3 +117,17 @@ def test_a_cloud_of_something_else_is_refused(film):
     with pytest.raises(CaphyError, match="at least two frames must hold 50 points"):
         registered(Scene.of(seen(few, keys)), MODEL)
     assert registered(Scene.of(replace(seen(frames, keys), noise_mm=2.0)), MODEL).measurement.noise_mm == 2.0
+
+
+def test_a_garment_whose_boundary_is_pinched_is_refused(film):
+    """Without two faces that are opposite each other at a vertex two boundary edges lead out of it, and nothing tells
+    which goes on."""
+    positions, keys = film
+    scene = Scene.of(seen(clouds(positions, keys["faces"], 500, 1e-3), keys))
+    garment, middle = scene.garment, len(scene.garment.vertices) // 2
+    around = np.flatnonzero((garment.faces == middle).any(1))
+    apart = next(face for face in around[1:] if len(np.intersect1d(*garment.faces[[around[0], face]])) == 1)
+    left = np.delete(np.arange(len(garment.faces)), [around[0], apart])
+    pinched = replace(garment, faces=garment.faces[left], material=garment.material[left])
+    with pytest.raises(CaphyError, match="pinched at a vertex"):
+        registered(replace(scene, garment=pinched), MODEL)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from explicit_cloth import clouds, measured, seen, simulate
@@ -73,6 +75,16 @@ def test_registered_until_both_agree():
     assert len(clouds.seen) <= again.TIMES
     assert clouds.seen[0] == 19.0
     assert found.fit.by_retelling[COLUMNS[0]] == pytest.approx(found.fit.change[0] - 19.0)  # counts as a doubt
+
+
+def test_a_line_does_not_lead_a_stiffness_to_nothing():
+    """Nor farther than steps may go: less than none is no stiffness, and nothing leads back from none."""
+    columns = [column for column in tunable("strain_stvk", MODEL) if column.parameter == "lame_mu"]
+    best = replace(fitted(5.0), columns=tuple(columns), model=MODEL)
+    for asked, kept in ((-1.2, 0.1), (-0.5, 0.5), (40.0, 10.0)):
+        there = best.ahead(np.array([asked]))
+        mu, was = (float(model.effects["strain_stvk"]["lame_mu"]) for model in (there, MODEL))
+        assert mu == pytest.approx(kept * was)
 
 
 @pytest.mark.usefixtures("plays")

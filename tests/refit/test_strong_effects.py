@@ -81,7 +81,8 @@ def test_variance_and_weights_follow_a_strong_effect():
     way = lambda a: 0.01 * np.array([a, a + 0.3 * a**2])  # noqa: E731
     study = Told(way, lambda a: 0.01 * np.array([1, 1 + 0.6 * a]), astray=0.005)
     before = fitted(study)
-    after = weighed_anew(study, before)
+    after = weighed_anew(study, replace(before, by_retelling={COLUMNS[0]: 0.4}))
+    assert after.by_retelling == {COLUMNS[0]: 0.4}  # what was doubted still is
     assert before.change[0] < 0.98 * TRUE
     assert after.change[0] == pytest.approx(TRUE, rel=0.004)
     assert after.converged
