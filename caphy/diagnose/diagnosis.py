@@ -304,7 +304,7 @@ def _as_registered_first(study: Study) -> list[str]:
 
 def _held_out_as_before(apart: Apart, there: Apart) -> list[str]:
     """Why held-out clouds could not be registered by what was fitted, in words; nothing where they were."""
-    if there.study is not apart.study:
+    if there.study is not apart.study or not apart.study.why_not:
         return []
     return [f"held-out clouds were not registered again by what was fitted: {apart.study.why_not}"]
 
