@@ -24,12 +24,14 @@ def before_and_after(
     crew: Crew,
     garment: Garment | None = None,
     body: BodyModel | None = None,
+    notes: Sequence[str] = (),
 ) -> str:
     """The heat maps of measurements before and after, as one self-contained HTML page.
 
     Args:
         name: the model's.
         crew: rolls out the windows.
+        notes: what is to be said of the change, at the foot.
     """
     from caphy import __version__
     from caphy.measure.comparison import compare
@@ -45,5 +47,7 @@ def before_and_after(
                 prediction = predicted(scene, model, progress, crew)
             sections.append(section(compare(prediction, scene.measurement, scene.regions)))
     facts = {"model": name, "written by": f"caphy {__version__}"}
+    if notes:
+        facts["note"] = "; ".join(notes)
     added = ", ".join(effect for effect in after.effects if effect not in before.effects) or "parameters"
     return comparison_page(f"{name}: before and after {added}", sections, facts)

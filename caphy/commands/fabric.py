@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from caphy.commands.following import following
+from caphy.commands.other_garments import still_told
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.kept import Kept
@@ -84,24 +85,31 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
             print(f"without {kind}: {error}")
             document["failed"][kind] = str(error)
             continue
-        path = options.run / f"fabric_{kind}.json"
+        path = _model_file(options.run, kind)
         write_text(path, model.to_json() + "\n")
         document["garments"][kind] = {**found, "model_file": path.name}
         plots[kind], sentences[kind] = _figures(start, model), _told(kind, found)
         print("\n".join(sentences[kind]))
-    if not document["garments"]:
+    fitted = document["garments"]
+    if not fitted:
         raise CaphyError(f"{options.run}: no garment's fabric could be fitted")
+    rest = {kind: _model_file(options.run, kind) for kind in KINDS if kind not in options.garments}
+    document["garments"] = still_told(options.run / RESULT, rest, "garments") | fitted
     if len(document["garments"]) == 1:  # then the file is a physics model as well
         (only,) = document["garments"].values()
         document |= only["model"]
     write_text(options.run / RESULT, json.dumps(document, indent=1, allow_nan=False) + "\n")
     _write_page(options.run / PAGE, plots, sentences)
     print(f"written: {options.run / RESULT}, {options.run / PAGE}")
-    for kind in () if options.alternations else document["garments"]:  # which are trained under it by turns
-        model, out = options.run / f"fabric_{kind}.json", options.run / ALTERNATED / kind
+    for kind in () if options.alternations else fitted:  # which are trained under it by turns
+        model, out = _model_file(options.run, kind), options.run / ALTERNATED / kind
         train = following("train", f"{options.run / kind}.npz", "--scans", options.run, "--model", model, "-o", out)
         print(f"next: {train}")
     return 1 if document["failed"] else 0
+
+
+def _model_file(run: Path, kind: str) -> Path:
+    return run / f"fabric_{kind}.json"
 
 
 def _check(options: FabricCommand) -> None:

@@ -10,6 +10,7 @@ import tyro
 
 from caphy.commands.following import following
 from caphy.commands.seed import require_seed
+from caphy.commands.training_options import require_device, require_positive
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -93,12 +94,10 @@ def _check(options: Fit) -> None:
     from caphy.material.fabrics import fabric
 
     require_seed(options.seed)
-    for name in ("minutes", "steps", "fabric_rounds", "collision_epochs"):
-        value = getattr(options, name)
-        if value is not None and not value > 0:
-            raise CaphyError(f"--{name.replace('_', '-')} must be positive, got {value}")
+    require_positive(options, "minutes", "steps", "fabric_rounds", "collision_epochs")
     if options.processes not in (1, 2, 4, 8):
         raise CaphyError(f"--processes must divide the 8 streams of a training: 1, 2, 4 or 8, got {options.processes}")
+    require_device(options.device, options.processes - 1)
     if options.fabric_scans < 3:
         raise CaphyError(f"--fabric-scans must be at least 3, got {options.fabric_scans}")
     fabric(options.fabric)

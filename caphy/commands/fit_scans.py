@@ -32,14 +32,20 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
     from caphy.scan.scan_set import ScanSet
 
     scans = ScanSet.read(folder)
-    findings = check_set(scans, _every_tenth("read"))
+    bare: set[str] = set()
+
+    def note_labels(scan: Scan) -> None:
+        if scan.labels is None:
+            bare.add(scan.name)
+
+    findings = check_set(scans, _every_tenth("read"), note_labels)
     refused, notes = _reasons(findings, True), _reasons(findings, False)
     notes = {scan: why for scan, why in notes.items() if scan not in refused}
     for what, reasons in (("left out", refused), ("note", notes)):
         for scan, why in reasons.items():
             print(f"{what}: {scans.files[scans.names.index(scan)].name}: {why}", flush=True)
     kept = usable(scans, findings)
-    parser = parser or ("labels" if all(scans[i].labels is not None for i in kept) else "colour")
+    parser = parser or ("colour" if any(scans.names[i] in bare for i in kept) else "labels")
     _write_kept(scans, kept, run / SCANS, parser == "labels")
     document = {
         "source": scans.name,
@@ -126,7 +132,8 @@ def _write_kept(scans: ScanSet, kept: Sequence[int], folder: Path, with_labels: 
     for stray in folder.glob("*.ply"):
         if stray.stem not in {scans.names[i] for i in kept}:
             stray.unlink()
-    chosen = (replace(scans[i], labels=scans[i].labels if with_labels else None) for i in kept)
+    read = (scans[i] for i in kept)  # one at a time: a set may not fit into memory
+    chosen = read if with_labels else (replace(scan, labels=None) for scan in read)
     poses = scans.poses
     if poses is not None:
         index = list(kept)

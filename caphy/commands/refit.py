@@ -134,7 +134,7 @@ def _write(
     )
     page = command.output.with_suffix(".html")
     name = Path(command.model).stem
-    write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body))
+    write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body, found.notes))
     write_text(command.output, new.to_json())  # last: it may take the place of the model that a stopped run begins with
     print(f"\n{command.output}\n{page}")
     files = ("--effect-file", *command.effect_file) if command.effect_file else ()
@@ -154,7 +154,8 @@ def table(found: Refit) -> str:
         f"held-out median distance: {held.before_mm:.2f} -> {held.after_mm:.2f} mm{floor}",
     ]
     lines += _held(found)
-    return "\n".join([*lines, found.reason] if found.reason else lines)
+    lines += [found.reason] if found.reason else []
+    return "\n".join(lines + [f"Note: {note}." for note in found.notes])
 
 
 def _held(found: Refit) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from caphy.commands.body import load_body
+from caphy.commands.other_garments import still_told
 from caphy.commands.seed import require_seed
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
@@ -208,11 +209,13 @@ def _garments(command: Garments) -> None:
     if unknown:
         raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
     found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
-    shown = _shown(command.output, fit.names)
+    shown, record = _shown(command.output, fit.names), command.output / "garments.json"
     with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
         for kind in sorted(command.kinds):  # what is worn beneath comes first
             found[kind] = _garment(command, fit, shown, scans, kind, model, Kept(folder))
-    write_text(command.output / "garments.json", json.dumps(found, indent=1, allow_nan=False))
+            rest = {each: command.output / f"{each}.npz" for each in ("lower", "upper") if each not in found}
+            told = still_told(record, rest) | found  # written each time: the next one may fail
+            write_text(record, json.dumps(dict(sorted(told.items())), indent=1, allow_nan=False))
 
 
 def _garment(

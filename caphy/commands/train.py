@@ -14,6 +14,7 @@ import tyro
 from caphy.commands.begun import OPTIONS, exporting, option, require_same, write_record
 from caphy.commands.bundled import bundled
 from caphy.commands.seed import require_seed
+from caphy.commands.training_options import require_device, require_positive
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder
 
@@ -143,10 +144,7 @@ def _check(options: Train) -> None:
         raise CaphyError("--no-physics needs --scans: there is nothing else to learn from")
     if options.scans is None and (options.worn or options.outermost or options.lambda_3d is not None):
         raise CaphyError("--worn, --outermost and --lambda-3d go with --scans")
-    for name in ("minutes", "steps", "lambda_3d"):
-        value = getattr(options, name)
-        if value is not None and not 0 < value < float("inf"):
-            raise CaphyError(f"--{name.replace('_', '-')} must be positive and finite, got {value}")
+    require_positive(options, "minutes", "steps", "lambda_3d")
     if (options.output / "checkpoint.safetensors").exists() and not options.resume:
         raise CaphyError(f"{options.output} holds a training already: add --resume, or give another folder with -o")
 
@@ -155,16 +153,10 @@ def _take_device(device: str) -> None:
     """Use a GPU, where one is asked for; of several processes on one machine each takes its own."""
     import torch
 
-    if device == "cpu":
-        return
-    if device.partition(":")[0] != "cuda":
-        raise CaphyError(f"--device must be cpu or cuda, got {device!r}")
-    if not torch.cuda.is_available():
-        raise CaphyError(f"--device {device}: torch finds no CUDA device here; use --device cpu")
     process = int(os.environ.get("LOCAL_RANK", "0"))
-    if process >= torch.cuda.device_count():
-        raise CaphyError(f"each process needs a GPU of its own: start {torch.cuda.device_count()}, not {process + 1}")
-    torch.cuda.set_device(process)
+    require_device(device, process)
+    if device != "cpu":
+        torch.cuda.set_device(process)
 
 
 def _garment(path: Path) -> Garment:

@@ -52,6 +52,7 @@ class Refit:
         reason: why effects were taken back, each of them, in words.
         share: of the misfit of the windows it was fitted to, what the fit takes away.
         refused: whether held-out measurements contradict the fit, so that the model stays as it was.
+        notes: what is to be said beside that, each a clause.
     """
 
     model: Model
@@ -62,6 +63,7 @@ class Refit:
     reason: str
     share: float
     refused: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def refit(
@@ -100,15 +102,31 @@ def refit(
     numbers = intervals(fitted, learned, len(study.scenes))
     reason = "" if not removed else f"without {', '.join(removed)} the fit is as good"
     why = _refused(errors, first.responses, fitted, numbers, kept)
-    again = None if why else fitted_again(study, fitted, variance, learned is None)
-    if again is not None:
-        fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
-        numbers = intervals(fitted, learned, len(study.scenes))
-        why = _refused(errors, again.before, fitted, numbers, kept)
+    notes: tuple[str, ...] = ()
+    if not why:
+        again = fitted_again(study, fitted, variance, learned is None)
+        if again is not None:
+            fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
+            numbers = intervals(fitted, learned, len(study.scenes))
+            why = _refused(errors, again.before, fitted, numbers, kept)
+        notes = _as_registered_first(study, proof, again is not None)
     if why:
         why = f"{why}: {', '.join(kept) or 'the new parameters'} refused"
-        return Refit(model, (), names, numbers, errors, "; ".join(filter(None, (reason, why))), fitted.share, True)
-    return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share)
+        reason = "; ".join(filter(None, (reason, why)))
+        return Refit(model, (), names, numbers, errors, reason, fitted.share, True, notes)
+    return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share, notes=notes)
+
+
+def _as_registered_first(study: Study, proof: Study, again: bool) -> tuple[str, ...]:
+    """Why clouds were not registered by what was fitted, in words; nothing where they were, or there are none.
+
+    ``again`` tells whether those were that it was fitted to, of the ``study``.
+    """
+    if again:
+        whose, why = "held-out clouds", proof.why_not
+    else:
+        whose, why = "clouds", study.of_clouds and (study.why_not or "its cloth flies apart")
+    return (f"{whose} were not registered again by what was fitted: {why}",) if why else ()
 
 
 def _refused(

@@ -6,7 +6,7 @@ The file is an npz without pickles: ``mean`` (V, 3) [m] on the body in T-pose, `
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +34,9 @@ UNUSUAL = 0.0002
 """Cost [m] of a coefficient a standard deviation from the mean garment's: decides what no camera saw."""
 
 
+KEYS = ("mean", "components", "deviations", "faces")
+
+
 @dataclass(frozen=True, eq=False)
 class LinearStyle:
     """A mean garment and its directions."""
@@ -53,7 +56,7 @@ class LinearStyle:
         """Read a basis.
 
         Raises:
-            CaphyError: a key is missing, of the wrong shape, or not finite.
+            CaphyError: a key is missing, or what it holds is no such basis.
         """
         arrays = read_npz(path)
         missing = {"mean", "components", "faces"} - arrays.keys()
@@ -62,7 +65,8 @@ class LinearStyle:
                 f"{path}: a style basis needs mean (V, 3), components (K, V, 3) and faces (F, 3); "
                 f"{', '.join(sorted(missing))} missing"
             )
-        count, rank = len(arrays["mean"]), len(arrays["components"])
+        _require_numbers(path, arrays)
+        count, rank = max(1, len(arrays["mean"])), max(1, len(arrays["components"]))  # an empty one is refused
         arrays.setdefault("deviations", np.ones(rank))
         shapes = {"mean": (count, 3), "components": (rank, count, 3), "deviations": (rank,)}
         for name, shape in shapes.items():
@@ -71,20 +75,43 @@ class LinearStyle:
                     f"{path}: {name} must be finite and of shape {shape}, got {arrays[name].shape}; components are "
                     "(coefficient, vertex, axis)"
                 )
-        faces = arrays["faces"]
-        if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= count:
-            raise CaphyError(f"{path}: faces must be triangles (F, 3) of {count} vertices, got shape {faces.shape}")
+        if (least := arrays["deviations"].min()) <= 0:
+            raise CaphyError(
+                f"{path}: deviations must be positive, got {least:g}; leave out components that do not vary, or "
+                "deviations where they are not known"
+            )
         return cls(
             name=path.stem,
             mean=arrays["mean"].astype(np.float64),
             components=arrays["components"].astype(np.float64),
             deviations=arrays["deviations"].astype(np.float64),
-            faces=faces.astype(np.int32),
+            faces=_triangles(path, arrays["faces"], count),
         )
 
     def vertices(self, coefficients: np.ndarray) -> np.ndarray:
         """The garment (V, 3) [m] of coefficients (K,)."""
         return self.mean + np.tensordot(coefficients, self.components, axes=1)
+
+
+def _require_numbers(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    for name in KEYS:
+        if name in arrays and (arrays[name].ndim == 0 or arrays[name].dtype.kind not in "fiu"):
+            raise CaphyError(
+                f"{path}: {name} must be an array of numbers, got {arrays[name].dtype} of shape "
+                f"{arrays[name].shape}; write it as floats, faces as integers"
+            )
+
+
+def _triangles(path: Path, faces: np.ndarray, count: int) -> np.ndarray:
+    """Faces (F, 3) int32 of a file whose mesh has ``count`` vertices."""
+    triangles = faces.ndim == 2 and faces.shape[1] == 3 and len(faces) > 0
+    if triangles and np.array_equal(faces, np.round(faces)) and faces.min() >= 0 and faces.max() < count:
+        return faces.astype(np.int32)
+    span = f" from {faces.min():g} to {faces.max():g}" if faces.size else ""
+    raise CaphyError(
+        f"{path}: faces must be triangles (F, 3), one at least, of whole numbers of its {count} vertices, 0 to "
+        f"{count - 1}; got {faces.dtype} of shape {faces.shape}{span}; as of an OBJ they count from 1: subtract 1"
+    )
 
 
 @dataclass(frozen=True, eq=False)

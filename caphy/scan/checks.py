@@ -55,8 +55,11 @@ def require_size(scan: Scan) -> None:
         raise scan.error(finding.message)
 
 
-def check_set(scans: ScanSet, say: Callable[[int, int], None] | None = None) -> list[Finding]:
-    """What is to be said of all scans, those that cannot be read among them; ``say`` is told scans done and total."""
+def check_set(
+    scans: ScanSet, say: Callable[[int, int], None] | None = None, look: Callable[[Scan], None] | None = None
+) -> list[Finding]:
+    """What is to be said of all scans, those that cannot be read among them; ``say`` is told scans done and total,
+    ``look`` is given each scan that could be read, so that nobody need read it again."""
     findings, traits = [], []
     for index, path in enumerate(scans.files):
         try:
@@ -66,6 +69,8 @@ def check_set(scans: ScanSet, say: Callable[[int, int], None] | None = None) -> 
         else:
             findings += check_scan(scan)
             traits.append(_Traits.of(scan))
+            if look is not None:
+                look(scan)
         if say is not None:
             say(index + 1, len(scans))
     return findings + _up_axis(scans, traits) + _strangers(traits)

@@ -1,6 +1,7 @@
 """``caphy fabric`` on a small run's folder: what it writes, and what it refuses."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,38 @@ def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
         assert row["interval"] is None or row["interval"][0] < row["over_the_start"] < row["interval"][1]
     page = (run / "fabric.html").read_text()
     assert page.count("<svg") == 4 and "NaN" not in page and "nan" not in page
+
+
+def test_one_garment_at_a_time_is_told_as_both(run, tmp_path, monkeypatch, capsys):
+    """Of the other garment what is known stays, as long as its model is there."""
+    folder = Path(shutil.copytree(run, tmp_path / "run"))
+    panel(SIDE).save(folder / "lower.npz")
+    for name in ("fabric.json", "fabric_upper.json"):
+        (folder / name).unlink(missing_ok=True)
+
+    def fit(options, base, subject, points, kind, kept):
+        found = {"stiffness": {}, "scans": 3, "rounds": [], "settled": True, "model": json.loads(base.to_json())}
+        return found | {"objective": options.objective}, base, base
+
+    def fitted(*options: str) -> dict[str, str]:
+        assert main(["fabric", str(folder), *options]) == 0
+        told = json.loads((folder / "fabric.json").read_text())
+        return {kind: found["objective"] for kind, found in told["garments"].items()}
+
+    monkeypatch.setattr("caphy.commands.fabric._fit", fit)
+    assert fitted("--garments", "upper") == {"upper": "response"}
+    capsys.readouterr()
+    assert fitted("--garments", "lower", "--objective", "force") == {"upper": "response", "lower": "force"}
+    assert "upper.npz" not in capsys.readouterr().out  # nothing new to train it under
+    assert "effects" not in json.loads((folder / "fabric.json").read_text())  # two garments are no single model
+    (folder / "fabric_upper.json").unlink()
+    assert fitted("--garments", "lower") == {"lower": "response"}
+    (folder / "lower.npz").unlink()
+    assert fitted() == {"upper": "response"}  # the lower one was asked for, and is not worn
+    (folder / "fabric.json").write_text("{}")
+    panel(SIDE).save(folder / "lower.npz")
+    assert fitted("--garments", "lower") == {"lower": "response"}
+    assert "what it said of the upper garment is lost; do it again" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

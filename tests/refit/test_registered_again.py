@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from explicit_cloth import clouds, measured, seen, simulate
 
+from caphy.commands.before_after import before_and_after
+from caphy.commands.refit import table
 from caphy.effects.model import Model
+from caphy.errors import CaphyError
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered
 from caphy.refit import again
-from caphy.refit.again import agreed, fitted_again
+from caphy.refit.again import Again, agreed, fitted_again
 from caphy.refit.columns import addition, tunable
+from caphy.refit.crew import Crew
 from caphy.refit.descent import fit
 from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
+from caphy.refit.refit import _as_registered_first, refit
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -99,6 +105,35 @@ def test_what_was_measured_as_vertices_is_not_registered():
     study = Study([Scene.of(measured(*simulate(seconds=1.2, settle=2.0)))])
     assert study.registered_by(MODEL) is study
     assert fitted_again(study, fitted(5.0), np.ones((1, 1))) is None
+
+
+@pytest.mark.parametrize(("whose", "again"), [("clouds", None), ("held-out clouds", Again)])
+def test_what_could_not_be_registered_again_is_said(whose, again, monkeypatch):
+    """In what is printed and on the page: errors there are of clouds as they were first."""
+
+    def fitted_again(study: Study, best: Fit, variance: np.ndarray, weigh: bool) -> Again | None:
+        assert study.registered_by(best.model) is study
+        return again and again(study, best, study.respond(best.origin, best.columns))
+
+    def lost(*_):
+        raise CaphyError("square: the model does not follow its cloud")
+
+    films = [measured(*simulate(seconds=1.2, settle=2.0, drag=0.6, count=5, tempo=tempo)) for tempo in (1.0, 1.2)]
+    monkeypatch.setattr("caphy.refit.refit.fitted_again", fitted_again)
+    monkeypatch.setattr("caphy.refit.study.all_registered", lost)
+    monkeypatch.setattr(Study, "of_clouds", property(lambda _: True))
+    found = refit(MODEL, films[:1], ("mass_damping",), films[1:])
+    note = f"{whose} were not registered again by what was fitted: square: the model does not follow its cloud"
+    assert found.notes == (note,) and not found.refused
+    assert table(found).endswith(f"\nNote: {note}.")
+    assert note in before_and_after("model", MODEL, found.model, [], Crew(), notes=found.notes)
+
+
+def test_nothing_is_said_where_nothing_failed():
+    vertices, clouds = (SimpleNamespace(of_clouds=of_clouds, why_not="") for of_clouds in (False, True))
+    assert _as_registered_first(vertices, vertices, again=False) == ()
+    assert _as_registered_first(clouds, clouds, again=True) == ()
+    assert "flies apart" in " ".join(_as_registered_first(clouds, clouds, again=False))
 
 
 def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():

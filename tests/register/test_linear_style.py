@@ -75,3 +75,34 @@ def test_a_damaged_basis_says_what_it_needs(basis, tmp_path):
     np.savez(damaged, **{**arrays, "faces": arrays["faces"] + 10**6})
     with pytest.raises(CaphyError, match="faces"):
         LinearStyle.load(damaged)
+
+
+@pytest.mark.parametrize(
+    ("key", "spoilt", "told"),
+    [
+        ("deviations", lambda _: np.array([1.0, 0.0]), r"positive, got 0; leave out"),
+        ("deviations", lambda _: np.array([1.0, -2.0]), r"positive, got -2; leave out"),
+        ("deviations", lambda _: np.array(1.0), r"an array of numbers, got float64 of shape \(\)"),
+        ("components", lambda given: given[:0], r"finite and of shape \(1, \d+, 3\), got \(0,"),
+        ("components", lambda given: given.astype(str), r"an array of numbers, got <U32"),
+        ("mean", lambda given: given.astype(str), r"an array of numbers, got <U32 .* as floats"),
+        ("mean", lambda given: given + 1j, r"an array of numbers, got complex128"),
+        ("faces", lambda given: given.astype(str), r"an array of numbers, got <U11 .* as integers"),
+        ("faces", lambda given: given[:0], r"triangles \(F, 3\), one at least, .* shape \(0, 3\)"),
+        ("faces", lambda given: given + 0.5, r"triangles .* of whole numbers .* got float64 .* from 0\.5 to"),
+        ("faces", lambda given: np.where(given, given, np.nan), r"triangles .* of whole numbers .* from nan"),
+        ("faces", lambda given: given + 1, r"triangles .* from 1 to \d+; as of an OBJ they count from 1: subtract 1"),
+    ],
+)
+def test_what_is_no_basis_is_refused_in_words(basis, tmp_path, key, spoilt, told):
+    arrays = {"deviations": np.ones(2), **np.load(basis)}
+    np.savez(tmp_path / "bad.npz", **{**arrays, key: spoilt(arrays[key])})
+    with pytest.raises(CaphyError, match=rf"bad\.npz: {key} must be {told}"):
+        LinearStyle.load(tmp_path / "bad.npz")
+
+
+def test_whole_floats_are_faces_too(basis, tmp_path):
+    arrays = dict(np.load(basis))
+    np.savez(tmp_path / "floats.npz", **{**arrays, "faces": arrays["faces"].astype(float)})
+    faces = LinearStyle.load(tmp_path / "floats.npz").faces
+    assert faces.dtype == np.int32 and (faces == arrays["faces"]).all()

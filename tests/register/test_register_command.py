@@ -160,6 +160,32 @@ def test_templates_are_chosen_by_the_scans_that_show_them(tmp_path, capsys, monk
         _garment(command, fit, range(3), scans, "lower", Model(0.2), Kept())
 
 
+def test_one_garment_at_a_time_is_told_as_both(tmp_path, monkeypatch):
+    """Of the other garment what is known stays, as long as its template is there."""
+    nobody = SimpleNamespace(names=[], placements=[])
+    monkeypatch.setattr("caphy.register.result.read_fit", lambda *_: nobody)
+    monkeypatch.setattr("caphy.scan.scan_set.ScanSet.read", lambda *_: nobody)
+    failing, times = [], iter(range(9))
+
+    def garment(command, fit, shown, scans, kind, model, kept) -> dict:
+        if kind in failing:
+            raise CaphyError("no scan shows it")
+        (tmp_path / f"{kind}.npz").write_bytes(b"template")
+        return {"time": next(times)}
+
+    def chosen(*kinds: str) -> dict[str, int]:
+        main(["register", "garments", str(tmp_path), "-o", str(tmp_path), "--kinds", *kinds])
+        return {kind: told["time"] for kind, told in json.loads((tmp_path / "garments.json").read_text()).items()}
+
+    monkeypatch.setattr("caphy.commands.register._garment", garment)
+    assert chosen("upper") == {"upper": 0}
+    assert list(chosen("lower").items()) == [("lower", 1), ("upper", 0)]  # in the order of both at once
+    failing.append("upper")
+    assert chosen("upper", "lower") == {"upper": 0, "lower": 2}  # the lower one that is there now
+    (tmp_path / "upper.npz").unlink()
+    assert chosen("lower") == {"lower": 3}
+
+
 def test_templates_are_not_chosen_by_what_is_held_out(tmp_path, capsys):
     """Where nothing is held out yet, it is said that all choose."""
     assert _shown(tmp_path, ("a", "b", "c")) == [0, 1, 2]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,8 +13,10 @@ import trimesh
 
 from caphy.body.bundled import default_body
 from caphy.capture.poses import a_pose
+from caphy.commands.fit_scans import check_scans
 from caphy.errors import CaphyError
 from caphy.scan.checks import check_scan, check_set, usable
+from caphy.scan.mesh_files import read_mesh_file
 from caphy.scan.scan import LOWER, UNKNOWN, UPPER, Scan
 from caphy.scan.scan_set import ScanSet, write_scan_set
 
@@ -119,6 +124,25 @@ def test_a_stranger_among_the_scans_is_refused_and_the_others_stay(tmp_path):
     assert [(f.scan, f.severe) for f in findings] == [("stranger", True)]
     assert "is it another person" in findings[0].message
     assert [scans.names[i] for i in usable(scans, findings)] == [f"s{i}" for i in range(5)]
+
+
+@pytest.mark.parametrize("bare", [(), ("s2",)])
+def test_the_check_of_a_fit_reads_each_scan_twice(bare, tmp_path, monkeypatch):
+    """Once to judge it, once to write it: reading takes most of the stage."""
+    scans = [_scan(name=f"s{i}") for i in range(3)]
+    scans = [replace(scan, labels=None) if scan.name in bare else scan for scan in scans]
+    folder, read = _set(tmp_path / "set", scans).folder, Counter()
+
+    def counted(path):
+        read[path.parent.name, path.stem] += 1
+        return read_mesh_file(path)
+
+    monkeypatch.setattr("caphy.scan.scan_set.read_mesh_file", counted)
+    check_scans(folder, tmp_path / "run", None)
+    assert read == {("set", f"s{i}"): 2 for i in range(3)}
+    assert json.loads((tmp_path / "run" / "check.json").read_text())["parser"] == ("colour" if bare else "labels")
+    for scan, written in zip(scans, ScanSet.read(tmp_path / "run" / "scans"), strict=True):
+        assert written.labels is None if bare else (written.labels == scan.labels).all()
 
 
 def test_somebody_of_another_size_is_remarked_on(tmp_path):
