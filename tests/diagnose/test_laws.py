@@ -136,10 +136,17 @@ def test_every_law_of_an_effect_is_tried_from_the_linear_fit(monkeypatch):
         found.fit = after  # as where it is better
         return replace(term, group=group)
 
-    monkeypatch.setattr(settling, "in_another_law", lambda _, best, law, *__: tried.append((best, law)) or law)
+    def in_another_law(study, best, law):
+        assert study == "aside"
+        tried.append((best, law))
+        return SimpleNamespace(model=law)
+
+    monkeypatch.setattr(settling, "in_another_law", in_another_law)
     monkeypatch.setattr(settling, "addition", lambda law: ())
     monkeypatch.setattr(settling, "_settled", settled)
-    settling.settle_laws(None, found)
+    said = []
+    settling.settle_laws(SimpleNamespace(likewise=lambda: "aside", tell=lambda model, _: said.append(model)), found)
+    assert said == ["zephyr"]  # what mesh and steps do is told of what stays
     assert tried == [(linear, "wind_normal_quadratic"), (linear, "zephyr")]
     assert found.terms[0].group.name == "zephyr"
 

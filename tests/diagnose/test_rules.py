@@ -359,14 +359,22 @@ def test_an_effect_that_is_fitted_on_is_named_once():
 
 
 def test_why_clouds_were_not_registered_again_is_said():
-    def study(slides: bool, why_not: str = "") -> SimpleNamespace:
-        return SimpleNamespace(scenes=[SimpleNamespace(slides=slides)], why_not=why_not)
+    def study(of_clouds: bool, why_not: str = "") -> SimpleNamespace:
+        return SimpleNamespace(of_clouds=of_clouds, why_not=why_not)
 
     assert diagnosis._as_registered_first(study(False)) == []
     (said,) = diagnosis._as_registered_first(study(True, "only 2 of 15 windows would be left"))
     assert said.endswith(": only 2 of 15 windows would be left")
     (said,) = diagnosis._as_registered_first(study(True))
     assert said.endswith("flies apart")
+
+    def apart(why_not: str = "") -> SimpleNamespace:
+        return SimpleNamespace(study=SimpleNamespace(why_not=why_not))
+
+    vertices, clouds = apart(), apart("frame 7: no face is near")
+    assert diagnosis._held_out_as_before(vertices, vertices) == diagnosis._held_out_as_before(clouds, apart()) == []
+    (said,) = diagnosis._held_out_as_before(clouds, clouds)
+    assert said.startswith("held-out clouds") and said.endswith(": frame 7: no face is near")
 
 
 def test_clouds_that_moved_parameters_do_not_follow_are_named():
