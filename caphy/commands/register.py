@@ -20,6 +20,7 @@ from caphy.kept import Kept, digest
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
+    from caphy.effects.cloth import Cloth
     from caphy.effects.model import Model
     from caphy.garment.families import Family
     from caphy.garment.template import Garment
@@ -353,7 +354,7 @@ def _outermost(choice: Choice, lower: Garment, figure: Figure, points: Sequence[
     from caphy.training.scans import innermost_first, scan_motions
 
     assert isinstance(choice.style, Top)
-    upper = made(choice, figure)
+    _, upper = made(choice.style, figure)
     worn = {"upper": (upper.vertices, upper.weights), "lower": (lower.vertices, lower.weights)}
     if innermost_first(points, worn, scan_motions(points, dressed_body(figure), [0], 1.0))[0] == "upper":
         return choice
@@ -370,18 +371,9 @@ def _hung(
     kept: Kept,
 ) -> tuple[Family, Garment]:
     """The chosen style with eases and lengths that hang as the plainest scans show, or its own, and what it makes."""
-    from dataclasses import replace
-
-    from caphy.effects.cloth import Cloth
     from caphy.register.girth import Sheet
     from caphy.register.hanging import hung, hung_style
     from caphy.register.template import made
-
-    def cut(style: Family) -> Garment:
-        """Refuses faces without area, as tight cuts may have."""
-        garment = made(replace(choice, style=style), figure)
-        Cloth.of(garment, model.density)
-        return garment
 
     def hang(garment: Garment, cloth: Cloth, body: BodyModel, placement: Placement, model: Model) -> np.ndarray:
         given = garment.vertices, garment.faces, garment.weights, garment.layer_thickness, body.v_template
@@ -396,10 +388,10 @@ def _hung(
     sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
         style = hung_style(choice.style, figure, targets, sheets, model, progress, hang)
-        return style, cut(style)
+        return made(style, figure)
     except CaphyError as error:
         print(f"the {kind} garment is cut without being hung: {error}")
-        return choice.style, cut(choice.style)
+        return made(choice.style, figure)
 
 
 def _points(command: Points) -> None:

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from caphy.body.model import BodyModel
 from caphy.conventions import JOINT_NAMES
-from caphy.garment.families import Family, make
+from caphy.garment.families import Family, make_nearest
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register.articulation import Figure, Placement
@@ -220,6 +220,6 @@ def refined(style: Family, judge: Judge, shown: Sequence[Target]) -> tuple[Famil
     return style, judge
 
 
-def made(choice: Choice, figure: Figure) -> Garment:
-    """The chosen style as a garment on the fitted body, T-pose."""
-    return make(choice.style, dressed_body(figure))
+def made(style: Family, figure: Figure) -> tuple[Family, Garment]:
+    """A style as a garment on the fitted body, T-pose, and with the edge length that it can be made with."""
+    return make_nearest(style, dressed_body(figure))

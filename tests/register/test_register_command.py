@@ -12,6 +12,7 @@ import pytest
 from dressed_scans import GARMENTS, disturbed, subject, visible
 
 from caphy.body.bundled import default_body
+from caphy.body.model import BodyModel
 from caphy.body.surface import Surface
 from caphy.challenge.sheets import users_square
 from caphy.cli import main
@@ -20,10 +21,12 @@ from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.families import Tshirt
 from caphy.garment.landmarks import Landmarks
+from caphy.garment.meshing import too_sharp
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
 from caphy.kept import Kept
+from caphy.register.articulation import Figure
 from caphy.register.cloud import Cloud
 from caphy.register.layers import MOST
 from caphy.register.linear_style import choose_linear
@@ -204,21 +207,25 @@ def test_nothing_to_fit_is_an_error_in_words(folder, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("spoilt", ["its eases", "every"])
-def test_a_cut_with_faces_of_no_area_is_not_kept(spoilt, capsys, monkeypatch):
-    """Eases that make one are left; a style that has one by itself is refused before anything is sewn from it."""
+def test_eases_that_no_mesh_can_be_cut_with_are_not_kept(spoilt, capsys, monkeypatch):
+    """They are left for the style's own; that has edges as long as it can be cut with, else it is refused."""
     told, hung = Tshirt(), Tshirt(ease=0.01)
-    flat = replace(users_square(5), material=np.zeros_like(users_square(5).material))
+
+    def make(family: Tshirt, body: BodyModel) -> Garment:
+        if family.ease == hung.ease or family.edge_length > 0.0201 or spoilt == "every":
+            raise too_sharp(family.edge_length)
+        return users_square(5)
+
     monkeypatch.setattr("caphy.register.hanging.hung_style", lambda *_: hung)
     monkeypatch.setattr("caphy.register.girth.Sheet.of", lambda *_: None)
-    monkeypatch.setattr(
-        "caphy.register.template.made",
-        lambda choice, _: flat if choice.style is hung or spoilt == "every" else users_square(5),
-    )
+    monkeypatch.setattr("caphy.garment.families.make", make)
     choice, model, target = Choice(told, 0.01, 300, ()), Model(0.2), SimpleNamespace(kind="upper")
+    figure = Figure.of(default_body())
     if spoilt == "every":
-        with pytest.raises(CaphyError, match="every face needs a rest area"):
-            _hung(choice, None, [target], [], model, None, Kept())
+        with pytest.raises(CaphyError, match=r"too sharply for edges of 20\.5 mm"):
+            _hung(choice, figure, [target], [], model, None, Kept())
         return
-    style, garment = _hung(choice, None, [target], [], model, None, Kept())
-    assert style is told and garment.material.any()
-    assert "the upper garment is cut without being hung: garment" in capsys.readouterr().out
+    style, garment = _hung(choice, figure, [target], [], model, None, Kept())
+    assert replace(style, edge_length=told.edge_length) == told and 0.019 < style.edge_length < 0.0201
+    assert garment.name == users_square(5).name
+    assert "the upper garment is cut without being hung: the cut turns" in capsys.readouterr().out
