@@ -277,7 +277,7 @@ def _garment(
 def _targets(
     fit: BodyFit, shown: Sequence[int], scans: ScanSet, kind: str
 ) -> tuple[list[int], list[Cloud], list[Target]]:
-    """Of the scans ``shown`` the plainest that show a garment, by their numbers; what lacks it is named.
+    """Of the scans ``shown`` the plainest that show a garment, by their numbers; others, or unusable ones, are named.
 
     Raises:
         CaphyError: none shows it.
@@ -289,8 +289,8 @@ def _targets(
     chosen, clouds, targets, lacking = [], [], [], []
     for i in plainest([fit.placements[i] for i in shown], len(shown)):
         number = shown[i]
-        cloud = Cloud.of(scans[scans.names.index(fit.names[number])])
         try:
+            cloud = Cloud.of(scans[scans.names.index(fit.names[number])])
             targets.append(Target.of(cloud, fit.figure.placed(fit.placements[number]), kind))
         except CaphyError as error:
             lacking.append(str(error))

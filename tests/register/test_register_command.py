@@ -16,7 +16,7 @@ from caphy.body.model import BodyModel
 from caphy.body.surface import Surface
 from caphy.challenge.sheets import users_square
 from caphy.cli import main
-from caphy.commands.register import _garment, _hung, _shown
+from caphy.commands.register import _garment, _hung, _shown, _targets
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.families import Tshirt
@@ -187,6 +187,28 @@ def test_one_garment_at_a_time_is_told_as_both(tmp_path, monkeypatch):
     assert chosen("upper", "lower") == {"upper": 0, "lower": 2}  # the lower one that is there now
     (tmp_path / "upper.npz").unlink()
     assert chosen("lower") == {"lower": 3}
+
+
+def test_a_scan_that_can_no_longer_be_used_is_named_and_the_rest_chooses(capsys, monkeypatch):
+    """Its labels may have changed since the body was found."""
+    points, names = np.random.default_rng(0).random((90, 3)), ("scan0", "scan1")
+
+    class Scans(list):
+        """Clouds in place of scans."""
+
+    def of(scan: Cloud) -> Cloud:
+        if scan.name == "scan0":
+            raise CaphyError("scan0.ply: has no labels")
+        return scan
+
+    scans = Scans([Cloud(name, points, points, np.repeat([0, 1, 2], 30)) for name in names])
+    scans.names = names
+    monkeypatch.setattr("caphy.register.cloud.Cloud.of", of)
+    fit = SimpleNamespace(names=names, placements=plain_poses()[:2], figure=SimpleNamespace(placed=lambda _: None))
+    assert _targets(fit, range(2), scans, "lower")[0] == [1]
+    assert "left out: scan0.ply: has no labels" in capsys.readouterr().out
+    with pytest.raises(CaphyError, match=r"no scan shows the lower garment:\nscan0\.ply: has no labels"):
+        _targets(fit, [0], scans, "lower")
 
 
 def test_templates_are_not_chosen_by_what_is_held_out(tmp_path, capsys):
