@@ -238,7 +238,7 @@ def _garment(
     from caphy.register.hanging import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
     from caphy.register.points import ScanPoints
-    from caphy.register.template import COMPARED, choose
+    from caphy.register.template import COMPARED, choose, distance
 
     chosen, clouds, targets = _targets(fit, shown, scans, kind)
     names = [fit.names[i] for i in chosen]
@@ -255,7 +255,7 @@ def _garment(
         style = LinearStyle.load(basis)
         linear = choose_linear(style, fit.figure, targets)
         garment, told = linear_garment(style, linear, fit.figure, kind), {"coefficients": linear.coefficients.tolist()}
-        distance, looked_at = linear.distance, linear.looked_at
+        away, looked_at = linear.distance, linear.looked_at
     else:
         with Progress() as progress:
             choice = _chosen(kept, kept.key("style", given), lambda: choose(fit.figure, targets, kind, progress))
@@ -265,11 +265,11 @@ def _garment(
             nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
             style, garment = _hung(choice, fit.figure, targets[:SCANS], nearest, model, progress, kept)
         told = asdict(style) | {"families": dict(choice.runners_up)}
-        distance, looked_at = choice.distance, choice.looked_at
+        away, looked_at = distance(style, fit.figure, targets), choice.looked_at
     garment.save(path)
     near = ", ".join(names[:COMPARED])
-    print(f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {near}; best of {looked_at} styles, refined")
-    told = {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
+    print(f"{path}: {garment.name}, {1e3 * away:.1f} mm from {near}; best of {looked_at} styles, refined")
+    told = {"garment": garment.name, "scans": names, "distance": away, "looked_at": looked_at, **told}
     kept.keep(whole, {"told": np.array(json.dumps(told)), "digest": np.array(digest(path.read_bytes()))})
     return told
 

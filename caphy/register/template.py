@@ -220,6 +220,14 @@ def refined(style: Family, judge: Judge, shown: Sequence[Target]) -> tuple[Famil
     return style, judge
 
 
+def distance(style: Family, figure: Figure, targets: Sequence[Target]) -> float:
+    """The :attr:`Choice.distance` [m] of a style all of whose lengths are given; the plainest of ``targets`` first."""
+    marks = Landmarks.of(dressed_body(figure))
+    eases = {name: getattr(style, name) for name in EASE_STEPS if hasattr(style, name)}
+    sheet = Sheet.of(longest(style.family, eases, marks), marks)
+    return Judge(sheet, targets[:COMPARED], Borders()).distance(style)
+
+
 def made(style: Family, figure: Figure) -> tuple[Family, Garment]:
     """A style as a garment on the fitted body, T-pose, and with the edge length that it can be made with."""
     return make_nearest(style, dressed_body(figure))

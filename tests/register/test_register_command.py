@@ -93,22 +93,23 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
 
     def choose(figure, targets, kind, progress) -> Choice:
         done.append("chosen")
-        return Choice(Tshirt(sleeve=0.31), 0.01, 7, (("tshirt", 0.01),))
+        return Choice(Tshirt(sleeve=0.31, length=0.6), 0.01, 7, (("tshirt", 0.01),))
 
     def hung(*_) -> np.ndarray:
         done.append("hung")
         return garment.vertices
 
     def hung_style(style, figure, targets, sheets, model, progress, hang) -> Tshirt:
-        assert replace(style, layer_thickness=0.0) == Tshirt(sleeve=0.31)
+        assert replace(style, layer_thickness=0.0) == Tshirt(sleeve=0.31, length=0.6)
         placement = targets[0].placed.placement
         assert (hang(garment, None, figure.body, placement, model) == garment.vertices).all()
         done.append("stopped" if "stopped" not in done else "eases")
         if done[-1] == "stopped":
             raise KeyboardInterrupt
-        return style
+        return replace(style, ease=0.05, length=0.55)
 
     monkeypatch.setattr("caphy.register.template.choose", choose)
+    monkeypatch.setattr("caphy.register.template.distance", lambda style, *_: style.ease * style.length)
     monkeypatch.setattr("caphy.register.hanging.hung", hung)
     monkeypatch.setattr("caphy.register.hanging.hung_style", hung_style)
     both = [*command[:6], "lower", "upper", *command[7:]]
@@ -118,7 +119,7 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
     assert done == ["chosen", "hung", "stopped", "eases"]
     told = json.loads((run / "garments.json").read_text())
     assert (told["lower"]["looked_at"], told["upper"]["looked_at"]) == (5, 7)
-    assert told["upper"]["families"] == {"tshirt": 0.01}
+    assert (told["upper"]["families"], told["upper"]["distance"]) == ({"tshirt": 0.01}, 0.05 * 0.55)  # as it was hung
     assert not (run / "garments-unfinished").exists()
 
     # The scans show the shirt outside the trousers, so it keeps off the body by what those take.
@@ -151,6 +152,7 @@ def test_templates_are_chosen_by_the_scans_that_show_them(tmp_path, capsys, monk
 
     monkeypatch.setattr("caphy.register.cloud.Cloud.of", lambda scan: scan)
     monkeypatch.setattr("caphy.register.template.choose", choose)
+    monkeypatch.setattr("caphy.register.template.distance", lambda *_: 0.01)
     monkeypatch.setattr("caphy.commands.register._hung", lambda *_: (Tshirt(), users_square(5)))
     (tmp_path / "body.npz").write_bytes(b"fit")
     command = SimpleNamespace(output=tmp_path, body="medium", upper_basis=None, lower_basis=None)
