@@ -9,6 +9,10 @@ class CaphyError(Exception):
     """
 
 
+class TooSharp(CaphyError):
+    """A garment's cut that turns too sharply for edges as long as they were asked for."""
+
+
 class Diverged(CaphyError):
     """A simulation whose cloth flies apart under its physics."""
 

@@ -11,7 +11,7 @@ from caphy.body.model import BodyModel
 from caphy.conventions import JOINT_NAMES
 from caphy.effects.model import Model
 from caphy.effects.presets import WORN
-from caphy.garment.families import Family, LongSleeve, Shorts, Skirt, Tank, Trousers, Tshirt, make
+from caphy.garment.families import Family, LongSleeve, Shorts, Skirt, Tank, Trousers, Tshirt, make_nearest
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.material.fabrics import fabric, fabric_names
@@ -79,27 +79,27 @@ def make_subject(
     lower: Lower | None = None,
     edge_length: float = 0.018,
 ) -> Subject:
-    """A person drawn from a seed, on the shape space of ``body``, in a mesh of ``edge_length`` [m]."""
+    """A person drawn from a seed, on the shape space of ``body``, in a mesh of ``edge_length`` [m] or little less."""
     random = np.random.default_rng([seed, 1])
     betas = np.clip(random.normal(0, SHAPE_SPREAD, body.shapedirs.shape[2]), -2, 2)
     own, displacement = displaced(body, betas, random)
     marks = Landmarks.of(own)
     families = {"lower": _lower(marks, random, lower, edge_length), "upper": _upper(marks, random, upper, edge_length)}
-    garments = {label: make(family, own) for label, family in families.items()}
+    made = {label: make_nearest(family, own) for label, family in families.items()}
     return Subject(
         body=own,
         betas=betas,
         displacement=displacement,
-        garments=garments,
-        rough={label: _rough(family, own, garments[label]) for label, family in families.items()},
+        garments={label: garment for label, (_, garment) in made.items()},
+        rough={label: _rough(family, own, garment) for label, (family, garment) in made.items()},
         fabrics={label: random_fabric(random) for label in families},
-        families=families,
+        families={label: family for label, (family, _) in made.items()},
     )
 
 
 def _rough(family: Family, body: BodyModel, fine: Garment) -> Garment:
     """The same cut in a coarse mesh."""
-    return fine if family.edge_length >= ROUGH else make(replace(family, edge_length=ROUGH), body)
+    return fine if family.edge_length >= ROUGH else make_nearest(replace(family, edge_length=ROUGH), body)[1]
 
 
 def displaced(body: BodyModel, betas: np.ndarray, random: np.random.Generator) -> tuple[BodyModel, np.ndarray]:

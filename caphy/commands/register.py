@@ -20,6 +20,7 @@ from caphy.kept import Kept, digest
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
+    from caphy.effects.cloth import Cloth
     from caphy.effects.model import Model
     from caphy.garment.families import Family
     from caphy.garment.template import Garment
@@ -237,7 +238,7 @@ def _garment(
     from caphy.register.hanging import SCANS
     from caphy.register.linear_style import LinearStyle, choose_linear, linear_garment
     from caphy.register.points import ScanPoints
-    from caphy.register.template import COMPARED, choose
+    from caphy.register.template import COMPARED, choose, distance
 
     chosen, clouds, targets = _targets(fit, shown, scans, kind)
     names = [fit.names[i] for i in chosen]
@@ -254,7 +255,7 @@ def _garment(
         style = LinearStyle.load(basis)
         linear = choose_linear(style, fit.figure, targets)
         garment, told = linear_garment(style, linear, fit.figure, kind), {"coefficients": linear.coefficients.tolist()}
-        distance, looked_at = linear.distance, linear.looked_at
+        away, looked_at = linear.distance, linear.looked_at
     else:
         with Progress() as progress:
             choice = _chosen(kept, kept.key("style", given), lambda: choose(fit.figure, targets, kind, progress))
@@ -264,11 +265,11 @@ def _garment(
             nearest = [scans[scans.names.index(name)] for name in names[:SCANS]]
             style, garment = _hung(choice, fit.figure, targets[:SCANS], nearest, model, progress, kept)
         told = asdict(style) | {"families": dict(choice.runners_up)}
-        distance, looked_at = choice.distance, choice.looked_at
+        away, looked_at = distance(style, fit.figure, targets), choice.looked_at
     garment.save(path)
     near = ", ".join(names[:COMPARED])
-    print(f"{path}: {garment.name}, {1e3 * distance:.1f} mm from {near}; best of {looked_at} styles, refined")
-    told = {"garment": garment.name, "scans": names, "distance": distance, "looked_at": looked_at, **told}
+    print(f"{path}: {garment.name}, {1e3 * away:.1f} mm from {near}; best of {looked_at} styles, refined")
+    told = {"garment": garment.name, "scans": names, "distance": away, "looked_at": looked_at, **told}
     kept.keep(whole, {"told": np.array(json.dumps(told)), "digest": np.array(digest(path.read_bytes()))})
     return told
 
@@ -276,7 +277,7 @@ def _garment(
 def _targets(
     fit: BodyFit, shown: Sequence[int], scans: ScanSet, kind: str
 ) -> tuple[list[int], list[Cloud], list[Target]]:
-    """Of the scans ``shown`` the plainest that show a garment, by their numbers; what lacks it is named.
+    """Of the scans ``shown`` the plainest that show a garment, by their numbers; others, or unusable ones, are named.
 
     Raises:
         CaphyError: none shows it.
@@ -288,8 +289,8 @@ def _targets(
     chosen, clouds, targets, lacking = [], [], [], []
     for i in plainest([fit.placements[i] for i in shown], len(shown)):
         number = shown[i]
-        cloud = Cloud.of(scans[scans.names.index(fit.names[number])])
         try:
+            cloud = Cloud.of(scans[scans.names.index(fit.names[number])])
             targets.append(Target.of(cloud, fit.figure.placed(fit.placements[number]), kind))
         except CaphyError as error:
             lacking.append(str(error))
@@ -353,7 +354,7 @@ def _outermost(choice: Choice, lower: Garment, figure: Figure, points: Sequence[
     from caphy.training.scans import innermost_first, scan_motions
 
     assert isinstance(choice.style, Top)
-    upper = made(choice, figure)
+    _, upper = made(choice.style, figure)
     worn = {"upper": (upper.vertices, upper.weights), "lower": (lower.vertices, lower.weights)}
     if innermost_first(points, worn, scan_motions(points, dressed_body(figure), [0], 1.0))[0] == "upper":
         return choice
@@ -370,18 +371,9 @@ def _hung(
     kept: Kept,
 ) -> tuple[Family, Garment]:
     """The chosen style with eases and lengths that hang as the plainest scans show, or its own, and what it makes."""
-    from dataclasses import replace
-
-    from caphy.effects.cloth import Cloth
     from caphy.register.girth import Sheet
     from caphy.register.hanging import hung, hung_style
     from caphy.register.template import made
-
-    def cut(style: Family) -> Garment:
-        """Refuses faces without area, as tight cuts may have."""
-        garment = made(replace(choice, style=style), figure)
-        Cloth.of(garment, model.density)
-        return garment
 
     def hang(garment: Garment, cloth: Cloth, body: BodyModel, placement: Placement, model: Model) -> np.ndarray:
         given = garment.vertices, garment.faces, garment.weights, garment.layer_thickness, body.v_template
@@ -396,10 +388,10 @@ def _hung(
     sheets = [Sheet.of(scan, kind) for scan in scans]
     try:
         style = hung_style(choice.style, figure, targets, sheets, model, progress, hang)
-        return style, cut(style)
+        return made(style, figure)
     except CaphyError as error:
         print(f"the {kind} garment is cut without being hung: {error}")
-        return choice.style, cut(choice.style)
+        return made(choice.style, figure)
 
 
 def _points(command: Points) -> None:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from caphy.body.model import BodyModel
-from caphy.errors import CaphyError
+from caphy.errors import CaphyError, TooSharp
 from caphy.garment import bottoms, tops
 from caphy.garment.cut import Cut
 from caphy.garment.dressing import dress
 from caphy.garment.landmarks import Landmarks
-from caphy.garment.meshing import contour, cut_sheet
+from caphy.garment.meshing import contour, cut_sheet, too_sharp
 from caphy.garment.template import Garment
+from caphy.garment.topology import without_area
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,8 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "layer_thickness": (0.0, 0.1),
 }
 """What options of families may be, on any body; lengths [m], flare and taper metres per metre."""
+SHARES = tuple(1 - k / 40 for k in range(13))
+"""Edge lengths that are tried, as shares of the one asked for: which a sharp cut can be meshed with is chance."""
 
 
 def default_rise(marks: Landmarks) -> float:
@@ -203,6 +206,7 @@ def make(family: Family, body: BodyModel, betas: np.ndarray | None = None) -> Ga
 
     Raises
         CaphyError: if an option does not fit the body; the message names its range.
+        TooSharp: if the cut turns too sharply for edges of its length.
     """
     for name, (low, high) in RANGES.items():
         if hasattr(family, name):
@@ -211,4 +215,26 @@ def make(family: Family, body: BodyModel, betas: np.ndarray | None = None) -> Ga
     cut = family.cut(marks)
     vertices, faces = contour(cut.surface, cut.low, cut.high, min(0.01, 0.45 * family.edge_length))
     vertices, faces = cut_sheet(vertices, faces, list(cut.openings.values()), family.edge_length)
-    return dress(family, marks, cut, vertices, faces.astype(np.int32))
+    garment = dress(family, marks, cut, vertices, faces.astype(np.int32))
+    if without_area(garment.material).size:  # moved clear of the body, a face may fall flat
+        raise too_sharp(family.edge_length)
+    return garment
+
+
+def make_nearest(family: Family, body: BodyModel) -> tuple[Family, Garment]:
+    """What :func:`make` makes with the edge length asked for, or else with the longest below it that the cut allows.
+
+    Returns:
+        The family with the edge length that it was made with, and the garment.
+
+    Raises:
+        CaphyError: as :func:`make`; TooSharp only if edges shorter by :data:`SHARES` will not do either.
+    """
+    refused = []
+    for share in SHARES:
+        tried = replace(family, edge_length=share * family.edge_length)
+        try:
+            return tried, make(tried, body)
+        except TooSharp as error:
+            refused.append(error)
+    raise refused[0]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from caphy.errors import CaphyError
+from caphy.errors import TooSharp
 from caphy.garment import topology
 
 Field = Callable[[np.ndarray], np.ndarray]
@@ -111,18 +111,24 @@ def cut_sheet(
     as long.
 
     Raises
-        CaphyError: if the surface turns too sharply for edges of that length.
+        TooSharp: if the surface turns too sharply for edges of that length.
     """
     margin = 2.5 * edge_length
     for field in keep:
         faces = faces[(field(vertices)[faces] > -margin).any(axis=1)]
         vertices, faces = drop_unused(vertices, faces)
         vertices, faces = insert_curve(vertices, faces, field)
+    openings = len(topology.boundary_loops(_kept(vertices, faces, keep)))
     for lengths in ((edge_length,), (0.5 * edge_length, edge_length)):
         sheet = _remeshed(vertices, faces, keep, lengths)
-        if _clean(*sheet):
+        if _clean(*sheet) and len(topology.boundary_loops(sheet[1])) == openings:  # no strap is torn
             return sheet
-    raise CaphyError(
+    raise too_sharp(edge_length)
+
+
+def too_sharp(edge_length: float) -> TooSharp:
+    """What is said of a cut that cannot be meshed with edges of a length [m]."""
+    return TooSharp(
         f"the cut turns too sharply for edges of {1e3 * edge_length:.1f} mm: faces would fold over or have no area; "
         "ask for a shorter edge_length or for more ease"
     )
@@ -139,11 +145,15 @@ def _remeshed(
         sides = inside[topology.hinge_faces(faces)]
         crease = topology.hinges(faces)[(sides[:, 0] != sides[:, 1]).any(axis=1), :2]
         vertices, faces = remesh_botsch(vertices, faces, 12, length, True, feature_edges=crease)
-    kept = np.all([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=0)
-    faces = faces[kept]
-    vertices, faces = drop_unused(vertices, faces[topology.components(faces)[0]])
+    vertices, faces = drop_unused(vertices, _kept(vertices, faces, keep))
     vertices, faces = collapse_short(vertices, faces, SHORTEST * lengths[-1])
     return remesh_botsch(vertices, faces, 4, lengths[-1], True)  # settles the interior behind the new boundary
+
+
+def _kept(vertices: np.ndarray, faces: np.ndarray, keep: Sequence[Field]) -> np.ndarray:
+    """The faces (F, 3) where every field of ``keep`` is positive, of what hangs together there the largest piece."""
+    faces = faces[np.all([field(vertices[faces].mean(axis=1)) > 0 for field in keep], axis=0)]
+    return faces[topology.components(faces)[0]]
 
 
 def _clean(vertices: np.ndarray, faces: np.ndarray) -> bool:

@@ -41,7 +41,8 @@ LEAST = 3
 BARE = 0.02
 """Share of a limb's points that are cloth below which the garment ends before it."""
 FAR, FACING = 0.08, 0.2
-"""Points farther from the body [m], or turned from it by more than this cosine, belong to another part of it."""
+"""Points farther from the body [m], or turned from it by more than this cosine, belong to another part of it. Cloth so
+far off, as a flared skirt's, still says that no edge lies before it."""
 GAP = 0.004
 """How far [m] cloth goes on beyond its last point, at most."""
 
@@ -102,12 +103,20 @@ class _Loop:
     """(K,) [m], growing from the cloth to what is bare; NaN where it was not seen."""
 
     @classmethod
-    def of(cls, along: np.ndarray, around: np.ndarray, cloth: np.ndarray) -> _Loop:
-        """The edge between points (N, 3) that are ``cloth`` (N,) and others, which lie at ``around`` (N,) [rad]."""
-        if len(cloth) and cloth.mean() < BARE:
-            return cls(np.full(SECTORS, along.min()))
-        sector = np.floor(around / (2 * np.pi) * SECTORS).astype(int) % SECTORS
-        places = np.array([_edge(along[mine], cloth[mine]) for mine in (sector == k for k in range(SECTORS))])
+    def of(cls, along: np.ndarray, around: np.ndarray, cloth: np.ndarray, far: np.ndarray) -> _Loop:
+        """The edge between points (N, 3) that are ``cloth`` (N,) and others, which lie at ``around`` (N,) [rad].
+
+        There is none where cloth that is ``far`` (N,) off the body lies beyond it.
+        """
+        near = ~far
+        if near.any() and cloth[near].mean() < BARE:
+            places = np.full(SECTORS, along[near].min())
+        else:
+            sectors = (_sector(around[near]) == k for k in range(SECTORS))
+            places = np.array([_edge(along[near][mine], cloth[near][mine]) for mine in sectors])
+        sector = _sector(around[far])
+        beyond = np.bincount(sector[along[far] > places[sector]], minlength=SECTORS)
+        places[beyond >= LEAST] = np.nan
         if np.isfinite(places).any():
             places[np.abs(places - np.nanmedian(places)) > ASTRAY] = np.nan
         return cls(places)
@@ -131,6 +140,8 @@ class _Laid:
     """The body's skinning weights there (N, 55)."""
     near: np.ndarray
     """Which points belong to where they were carried (N,)."""
+    far: np.ndarray
+    """Which are cloth too far off for that (N,)."""
 
     @classmethod
     def of(cls, target: Target, surface: Surface, marks: Landmarks) -> _Laid:
@@ -140,11 +151,12 @@ class _Laid:
         outward = np.cross(b - a, c - a)
         outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-30
         near = ((outward * scan.normals).sum(axis=1) > FACING) & (found.distance < FAR)
+        far = (scan.labels == LABELS[target.kind]) & (found.distance >= FAR)
         places, weights = (
             np.einsum("nk,nkc->nc", found.barycentric, values[faces[found.face]])
             for values in (marks.vertices, marks.body.weights)
         )
-        return cls(target, marks, places, weights, near)
+        return cls(target, marks, places, weights, near, far)
 
     def cuffs(self) -> Iterator[tuple[float, _Loop]]:
         """The ends of the sleeves, by side; lengths run from the shoulder joint."""
@@ -155,7 +167,8 @@ class _Laid:
         for side in (1.0, -1.0):
             local = (self.places * [side, 1, 1] - shoulder) @ frame.T
             on = self._on("arm", "hand") & (side * self.places[:, 0] > 0) & (self.target.scan.labels != LOWER)
-            if on.any() and local[on, 0].min() < WHOLE:
+            seen = local[on & self.near, 0]
+            if len(seen) and seen.min() < WHOLE:
                 yield side, self._loop(local[:, 0], local[:, 1], local[:, 2], on)
 
     def hems(self) -> Iterator[tuple[float, _Loop]]:
@@ -176,12 +189,17 @@ class _Laid:
     def _on(self, *parts: str) -> np.ndarray:
         """Which points (N,) count and lie on parts of the body."""
         joints = [JOINT_NAMES.index(name) for part in parts for name in PARTS[part]]
-        return self.near & (self.weights[:, joints].sum(axis=1) > 0.5)
+        return (self.near | self.far) & (self.weights[:, joints].sum(axis=1) > 0.5)
 
     def _loop(self, along: np.ndarray, right: np.ndarray, front: np.ndarray, on: np.ndarray) -> _Loop:
         scan = self.target.scan
         cloth = scan.labels == LABELS[self.target.kind]
-        return _Loop.of(along[on], np.arctan2(front, right)[on] % (2 * np.pi), cloth[on])
+        return _Loop.of(along[on], np.arctan2(front, right)[on] % (2 * np.pi), cloth[on], self.far[on])
+
+
+def _sector(around: np.ndarray) -> np.ndarray:
+    """Numbers (N,) of the sectors at angles (N,) [rad]."""
+    return np.floor(around / (2 * np.pi) * SECTORS).astype(int) % SECTORS
 
 
 def _edge(along: np.ndarray, cloth: np.ndarray) -> float:

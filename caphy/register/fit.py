@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -74,6 +75,8 @@ def fit_bodies(
 ) -> BodyFit:
     """Shape, displacement and poses of ``body`` in scans.
 
+    Scans that show somebody else are left out, and the rest is fitted again without them.
+
     Args:
         taken: scans of one person.
         store: where to keep what is done, so that a run that was stopped goes on from there.
@@ -85,28 +88,22 @@ def fit_bodies(
     scans, store = list(taken), store or Store(None)
     surface, failures = Surface.of(body.faces, body.v_template), {}
     firsts = _first_fits(body, surface, scans, store, progress, failures)
-    wearers, state = _joined(body, scans, firsts)
-    state = _rounds(state, wearers, surface, store, progress)
-    found = [
-        scan_figures(state.figure, p, w.skin_cloud, surface) for p, w in zip(state.placements, wearers, strict=True)
-    ]
-    names = [wearer.skin_cloud.name for wearer in wearers]
-    strangers = [i for i, figures in enumerate(found) if figures.skin_mean > ANOTHER]
-    for i in strangers:
-        failures[names[i]] = (
-            f"{names[i]}: its skin lies {1e3 * found[i].skin_mean:.0f} mm off the body that the other scans share; is "
-            "it the same person, and are its labels right? Leave it out, or correct it and fit again"
+    again = 0
+    while True:
+        wearers, state = _joined(body, scans, firsts)
+        state = _rounds(state, wearers, surface, store, progress, again)
+        names = tuple(wearer.skin_cloud.name for wearer in wearers)
+        found = tuple(
+            scan_figures(state.figure, p, w.skin_cloud, surface) for p, w in zip(state.placements, wearers, strict=True)
         )
-    kept = [i for i in range(len(names)) if i not in strangers]
-    if not kept:
-        raise CaphyError(_all_failed(failures))
-    return BodyFit(
-        state.figure,
-        tuple(names[i] for i in kept),
-        tuple(state.placements[i] for i in kept),
-        tuple(found[i] for i in kept),
-        failures,
-    )
+        strangers = _strangers(names, found)
+        if not strangers:
+            return BodyFit(state.figure, names, state.placements, found, failures)
+        failures.update(strangers)
+        firsts = {i: first for i, first in firsts.items() if scans[i].cloud.name not in strangers}
+        if not firsts:
+            raise CaphyError(_all_failed(failures))
+        again += 1  # the shape, the skin and all poses have given way to the strangers
 
 
 def scan_figures(figure: Figure, placement: Placement, cloud: Cloud, surface: Surface) -> ScanFigures:
@@ -176,6 +173,17 @@ def _lost(name: str, first: FirstFit) -> str:
     )
 
 
+def _strangers(names: Sequence[str], found: Sequence[ScanFigures]) -> dict[str, str]:
+    """Scans that show somebody else, and why; of several the farthest off, since the body gave way to those."""
+    limit = max(ANOTHER, 0.5 * (ANOTHER + max(figures.skin_mean for figures in found)))
+    return {
+        name: f"{name}: its skin lies {1e3 * figures.skin_mean:.0f} mm off the body that the other scans share; is it "
+        "the same person, and are its labels right? Leave it out, or correct it and fit again"
+        for name, figures in zip(names, found, strict=True)
+        if figures.skin_mean > limit
+    }
+
+
 def _joined(body: BodyModel, scans: Sequence[Taken], firsts: dict[int, FirstFit]) -> tuple[list[Wearer], State]:
     """What goes into the rounds: scans with a first pose, from the middle of their shapes.
 
@@ -189,18 +197,18 @@ def _joined(body: BodyModel, scans: Sequence[Taken], firsts: dict[int, FirstFit]
     return wearers, State(Figure.of(body, betas), tuple(first.fit.placement for first in firsts.values()))
 
 
-def _rounds(state: State, wearers: Sequence[Wearer], surface: Surface, store: Store, progress: Progress) -> State:
-    names = [wearer.skin_cloud.name for wearer in wearers]
+def _rounds(
+    state: State, wearers: Sequence[Wearer], surface: Surface, store: Store, progress: Progress, again: int = 0
+) -> State:
+    """All rounds, run ``again`` so many times because of strangers; each time is kept beside the ones before it."""
+    what = f"shape and skin, again ({again})" if again else "shape and skin"
     key = store.key(wearers, state)
-    state = store.state(key, state) or state
-    total = ROUNDS * len(names)
+    state = store.state(key, state, again) or state
+    total = ROUNDS * len(wearers)
     while state.done < ROUNDS:
-        done = state.done * len(names)
-        ticks = iter(range(1, len(names) + 1))
-        state = run_round(
-            state, wearers, surface, lambda d=done, t=ticks: progress("shape and skin", d + next(t), total)
-        )
-        store.keep_state(key, state)
+        ticks = count(state.done * len(wearers) + 1)
+        state = run_round(state, wearers, surface, lambda t=ticks: progress(what, next(t), total))
+        store.keep_state(key, state, again)
     return state
 
 

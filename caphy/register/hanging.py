@@ -23,7 +23,7 @@ from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
-from caphy.garment.families import Family, make
+from caphy.garment.families import Family, make_nearest
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.meshing import contour
 from caphy.garment.template import Garment
@@ -49,8 +49,8 @@ AVERAGED = 3
 """Of these times the last, whose eases and lengths are no longer on their way."""
 ON_THE_WAY = 0.5
 """Time from the T-pose into a scan's pose [s]."""
-EDGE_LENGTHS = (0.036, 0.033, 0.030)
-"""Of the mesh that is hung [m]: eases are no matter of small folds. The first that the style can be cut in."""
+EDGE_LENGTH = 0.036
+"""Of the mesh that is hung [m], where the style can be cut in it: eases are no matter of small folds."""
 SPREAD = {"ease": 0.015, "sleeve_ease": 0.010, "leg_ease": 0.015, "flare": 0.08, "taper": 0.05}
 """How far eases are from a family's usual ones [m, or metres per metre]: standard deviation over what people wear."""
 HELD = 0.006
@@ -157,15 +157,8 @@ def _looked_at(vertices: np.ndarray, faces: np.ndarray, target: Target) -> Targe
 
 def _coarse(style: Family, body: BodyModel, model: Model) -> tuple[Garment, Cloth]:
     """A style in a coarse mesh that can be simulated."""
-    failed: CaphyError | None = None
-    for edge_length in EDGE_LENGTHS:
-        try:
-            garment = make(replace(style, edge_length=edge_length), body)
-            return garment, Cloth.of(garment, model.density)
-        except CaphyError as error:
-            failed = error
-    assert failed is not None
-    raise failed
+    _, garment = make_nearest(replace(style, edge_length=EDGE_LENGTH), body)
+    return garment, Cloth.of(garment, model.density)
 
 
 def hung(garment: Garment, cloth: Cloth, body: BodyModel, placement: Placement, model: Model) -> np.ndarray:

@@ -41,16 +41,16 @@ class Store:
         numbers = {name: np.array(number) for name, number in told.items()}
         self._write(f"first/{name}.npz", key, arrays | numbers)
 
-    def state(self, key: str, initial: State) -> State | None:
-        """The rounds' latest state, if kept; ``initial`` tells the body."""
-        kept = self._read("rounds.npz", key)
+    def state(self, key: str, initial: State, again: int = 0) -> State | None:
+        """The latest state of the rounds, run ``again`` so many times, if kept; ``initial`` tells the body."""
+        kept = self._read(f"rounds/{again}.npz", key)
         if kept is None:
             return None
         placements = (Placement(r, t) for r, t in zip(kept["rotations"], kept["transl"], strict=True))
         figure = Figure(initial.figure.body, kept["betas"], kept["displacement"])
         return State(figure, tuple(placements), int(kept["done"]))
 
-    def keep_state(self, key: str, state: State) -> None:
+    def keep_state(self, key: str, state: State, again: int = 0) -> None:
         """Keep the rounds' state."""
         arrays = {
             "betas": state.figure.betas,
@@ -59,7 +59,7 @@ class Store:
             "transl": np.stack([p.transl for p in state.placements]),
             "done": np.array(state.done),
         }
-        self._write("rounds.npz", key, arrays)
+        self._write(f"rounds/{again}.npz", key, arrays)
 
     def _read(self, name: str, key: str) -> dict[str, np.ndarray] | None:
         if self.folder is None or not (self.folder / name).is_file():

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from caphy.body.model import BodyModel
 from caphy.conventions import JOINT_NAMES
-from caphy.garment.families import Family, make
+from caphy.garment.families import Family, make_nearest
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register.articulation import Figure, Placement
@@ -220,6 +220,14 @@ def refined(style: Family, judge: Judge, shown: Sequence[Target]) -> tuple[Famil
     return style, judge
 
 
-def made(choice: Choice, figure: Figure) -> Garment:
-    """The chosen style as a garment on the fitted body, T-pose."""
-    return make(choice.style, dressed_body(figure))
+def distance(style: Family, figure: Figure, targets: Sequence[Target]) -> float:
+    """The :attr:`Choice.distance` [m] of a style all of whose lengths are given; the plainest of ``targets`` first."""
+    marks = Landmarks.of(dressed_body(figure))
+    eases = {name: getattr(style, name) for name in EASE_STEPS if hasattr(style, name)}
+    sheet = Sheet.of(longest(style.family, eases, marks), marks)
+    return Judge(sheet, targets[:COMPARED], Borders()).distance(style)
+
+
+def made(style: Family, figure: Figure) -> tuple[Family, Garment]:
+    """A style as a garment on the fitted body, T-pose, and with the edge length that it can be made with."""
+    return make_nearest(style, dressed_body(figure))

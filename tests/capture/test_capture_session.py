@@ -18,7 +18,7 @@ from caphy.capture.fusion import _noise
 from caphy.capture.optics import Optics
 from caphy.capture.poses import capture_poses
 from caphy.capture.session import capture, read_subject
-from caphy.capture.subject import make_subject
+from caphy.capture.subject import ROUGH, make_subject
 from caphy.errors import CaphyError
 from caphy.io.poses import read_poses
 from caphy.io.poses.canonical import write_poses
@@ -119,6 +119,12 @@ def test_the_body_is_nobody_s_shape_exactly(subject):
     size = np.linalg.norm(subject.displacement, axis=1)
     assert 0.001 < size.mean() < 0.01
     assert size.max() < 0.016
+
+
+def test_a_cut_too_sharp_for_the_coarse_mesh_is_worn_in_a_finer_one():
+    """The shorts of this subject cannot be meshed with edges of 36 mm."""
+    shorts = make_subject(default_body("fine"), 9, edge_length=0.034).rough["lower"]
+    assert shorts.name == "shorts" and 0.7 * ROUGH < float(shorts.provenance["edge_length"]) < ROUGH
 
 
 def test_a_session_goes_on_where_it_was_stopped(session, tmp_path):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from caphy.body.bundled import default_body
-from caphy.errors import CaphyError
-from caphy.garment import topology
-from caphy.garment.families import LongSleeve, Tshirt, make
+from caphy.capture.subject import displaced
+from caphy.errors import CaphyError, TooSharp
+from caphy.garment import families, topology
+from caphy.garment.families import LongSleeve, Tank, Tshirt, make, make_nearest
 from caphy.garment.meshing import SHORTEST, collapse_short
 
 STYLE = {  # a cut whose cuffs the remesher leaves with two vertices in one place
@@ -96,5 +99,44 @@ def test_a_tight_sleeve_is_a_clean_sheet(edge_length):
 
 def test_a_sheet_that_tears_is_refused():
     """A jersey's sleeves end in a point with such edges."""
-    with pytest.raises(CaphyError, match=r"too sharply for edges of 50\.0 mm.*shorter edge_length or for more ease"):
+    with pytest.raises(TooSharp, match=r"too sharply for edges of 50\.0 mm.*shorter edge_length or for more ease"):
         make(LongSleeve(ease=0.009, sleeve_ease=0.0, flare=0.0, edge_length=0.05), default_body("medium"))
+
+
+def test_a_cut_too_sharp_for_its_edges_is_made_with_little_shorter_ones():
+    wide = Tank(neck_width=0.07, neck_depth=0.09, edge_length=0.05)
+    with pytest.raises(TooSharp):
+        make(wide, default_body("medium"))
+    family, garment = make_nearest(wide, default_body("medium"))
+    assert 0.7 * 0.05 <= family.edge_length < 0.05 and replace(family, edge_length=0.05) == wide
+    assert garment.provenance["edge_length"] == str(family.edge_length)
+    assert garment.rest_areas.min() > 0.05 * np.median(garment.rest_areas)
+
+
+def test_a_torn_strap_is_refused():
+    """One of two straps of 3 mm was lost where they were remeshed."""
+    rng, body = np.random.default_rng(20), default_body("medium")
+    betas = np.clip(rng.standard_normal(body.shapedirs.shape[2]), -2, 2)
+    narrow, _ = displaced(body, betas, rng)
+    assert len(make(Tank(neck_width=0.06), narrow).boundary_loops) == 4
+    with pytest.raises(TooSharp):
+        make(Tank(neck_width=0.07), narrow)
+
+
+def test_what_can_be_cut_keeps_its_edges():
+    family, garment = make_nearest(Tshirt(edge_length=0.04), default_body("medium"))
+    assert family == Tshirt(edge_length=0.04)
+    assert np.array_equal(garment.vertices, make(family, default_body("medium")).vertices)
+    with pytest.raises(CaphyError, match="sleeve must lie between"):
+        make_nearest(Tshirt(sleeve=2.0), default_body("medium"))
+
+
+def test_a_face_that_falls_flat_when_it_is_moved_off_the_body_is_refused(monkeypatch):
+    def flattened(*given):
+        garment = dress(*given)
+        return replace(garment, material=garment.material * (np.arange(len(garment.faces)) != 7)[:, None, None])
+
+    dress = families.dress
+    monkeypatch.setattr(families, "dress", flattened)
+    with pytest.raises(TooSharp, match=r"edges of 40\.0 mm"):
+        make(Tshirt(edge_length=0.04), default_body("medium"))

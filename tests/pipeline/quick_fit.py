@@ -47,7 +47,7 @@ def hurry(put=setattr) -> None:
         lambda choice, figure: make(replace(choice.style, edge_length=0.036), template.dressed_body(figure)),
     )
     put(hanging, "ROUNDS", 1)
-    put(hanging, "EDGE_LENGTHS", (0.05,))
+    put(hanging, "EDGE_LENGTH", 0.05)
     put(hanging, "ITERATIONS", 5)
     put(collide, "LEAST_STEPS", 2)
     put(fabric, "main", softer)

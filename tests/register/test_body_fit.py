@@ -118,9 +118,9 @@ def test_what_is_kept_is_of_the_same_code_body_and_estimates(taken, tmp_path, mo
     keys = []
 
     class Asked(Store):
-        def state(self, key: str, initial: State) -> State | None:
+        def state(self, key: str, initial: State, again: int = 0) -> State | None:
             keys.append(key)
-            return super().state(key, initial)
+            return super().state(key, initial, again)
 
     def ask(body: BodyModel, estimate: np.ndarray | None) -> None:
         state = State(Figure.of(body), (Placement.of(np.zeros((55, 3)), np.zeros(3)),))
@@ -161,6 +161,31 @@ def test_a_scan_of_rubbish_is_named_and_the_rest_goes_on(fitted, taken, tmp_path
     assert "rubbish" in fit.failures["rubbish"] and "leave it out" in fit.failures["rubbish"]
     with pytest.raises(CaphyError, match="none of the scans"):
         fit_bodies(default_body(), [rubbish], Store(tmp_path))
+
+
+def test_another_person_leaves_nothing_in_the_body(fitted, taken, tmp_path, monkeypatch):
+    """The fit is the one without the scan, to the last bit; stopped amid the rounds without it, it goes on there."""
+    monkeypatch.setattr("caphy.register.fit.ROUNDS", 3)
+    shutil.copytree(fitted[1].folder / "first", tmp_path / "first")
+    motion, rng = procedural_motion(1, 12.0, 2.0), np.random.default_rng(0)
+    sight = look(subject(4), motion.poses[-3], np.array([0.2, 1.0, 0.1]), 3, 3000)
+    start = Placement.of(disturbed(sight.pose, 20.0, rng), sight.transl)
+    stranger = Taken(Cloud("stranger", sight.points, sight.normals, sight.labels), start)
+    alone = fit_bodies(default_body(), taken[:3])
+
+    def stop(what, done, _total):
+        if "again" in what and done > 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_bodies(default_body(), [*taken[:3], stranger], Store(tmp_path), stop)
+    told: list[tuple[str, int, int]] = []
+    together = fit_bodies(default_body(), [*taken[:3], stranger], Store(tmp_path), lambda *a: told.append(a))
+    assert together.names == alone.names and "the same person" in together.failures["stranger"]
+    np.testing.assert_array_equal(together.figure.rest[0], alone.figure.rest[0])
+    np.testing.assert_array_equal(together.vertices(1), alone.vertices(1))
+    assert together.figures == alone.figures
+    assert [(done, total) for what, done, total in told if "shape" in what] == [(done, 9) for done in range(4, 10)]
 
 
 def test_specks_of_skin_on_a_dense_scan_are_not_taken_for_skin(fitted, taken, tmp_path, monkeypatch):

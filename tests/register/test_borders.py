@@ -11,7 +11,7 @@ from dressed_scans import GARMENTS, Subject, look
 
 from caphy.body.bundled import default_body
 from caphy.body.surface import Surface
-from caphy.garment.families import Tshirt, make
+from caphy.garment.families import Skirt, Tshirt, default_rise, make
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
 from caphy.register.articulation import Figure
@@ -86,6 +86,18 @@ def test_a_shirt_without_sleeves_ends_at_the_shoulder(shirt_and_trousers, marks)
 
     borders = Borders.of(relabelled(shirt_and_trousers, bare_arms), marks)
     assert borders.cuff is not None and borders.cuff < 0.03
+
+
+@pytest.mark.parametrize(("length", "flare"), [(0.37, 0.2), (0.51, 0.35)])
+def test_a_skirt_ends_where_it_does_or_nowhere(marks, length, flare):
+    """The last of its cloth that lies near the legs is up to 33 cm above its hem where the rest stands off."""
+    skirt = make(Skirt(length=length, flare=flare), marks.body)
+    targets = [replace(target, kind="lower") for target in seen([bundled("tshirt"), skirt])]
+    hem = marks.crotch + default_rise(marks) - length
+    ends = np.array([loop.along for target in targets[:2] for loop in Ends.of(target, marks).hems.values()])
+    assert Borders.of(targets, marks).hem is None
+    assert np.abs(-hem - ends[np.isfinite(ends)]).max(initial=0.0) < 0.015
+    assert np.isfinite(ends).any() == (flare == 0.2)
 
 
 def test_what_no_scan_shows_is_unknown(shirt_and_trousers, marks):

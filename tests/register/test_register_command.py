@@ -12,18 +12,21 @@ import pytest
 from dressed_scans import GARMENTS, disturbed, subject, visible
 
 from caphy.body.bundled import default_body
+from caphy.body.model import BodyModel
 from caphy.body.surface import Surface
 from caphy.challenge.sheets import users_square
 from caphy.cli import main
-from caphy.commands.register import _garment, _hung, _shown
+from caphy.commands.register import _garment, _hung, _shown, _targets
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.families import Tshirt
 from caphy.garment.landmarks import Landmarks
+from caphy.garment.meshing import too_sharp
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.io.procedural import procedural_motion
 from caphy.kept import Kept
+from caphy.register.articulation import Figure
 from caphy.register.cloud import Cloud
 from caphy.register.layers import MOST
 from caphy.register.linear_style import choose_linear
@@ -90,22 +93,23 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
 
     def choose(figure, targets, kind, progress) -> Choice:
         done.append("chosen")
-        return Choice(Tshirt(sleeve=0.31), 0.01, 7, (("tshirt", 0.01),))
+        return Choice(Tshirt(sleeve=0.31, length=0.6), 0.01, 7, (("tshirt", 0.01),))
 
     def hung(*_) -> np.ndarray:
         done.append("hung")
         return garment.vertices
 
     def hung_style(style, figure, targets, sheets, model, progress, hang) -> Tshirt:
-        assert replace(style, layer_thickness=0.0) == Tshirt(sleeve=0.31)
+        assert replace(style, layer_thickness=0.0) == Tshirt(sleeve=0.31, length=0.6)
         placement = targets[0].placed.placement
         assert (hang(garment, None, figure.body, placement, model) == garment.vertices).all()
         done.append("stopped" if "stopped" not in done else "eases")
         if done[-1] == "stopped":
             raise KeyboardInterrupt
-        return style
+        return replace(style, ease=0.05, length=0.55)
 
     monkeypatch.setattr("caphy.register.template.choose", choose)
+    monkeypatch.setattr("caphy.register.template.distance", lambda style, *_: style.ease * style.length)
     monkeypatch.setattr("caphy.register.hanging.hung", hung)
     monkeypatch.setattr("caphy.register.hanging.hung_style", hung_style)
     both = [*command[:6], "lower", "upper", *command[7:]]
@@ -115,7 +119,7 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
     assert done == ["chosen", "hung", "stopped", "eases"]
     told = json.loads((run / "garments.json").read_text())
     assert (told["lower"]["looked_at"], told["upper"]["looked_at"]) == (5, 7)
-    assert told["upper"]["families"] == {"tshirt": 0.01}
+    assert (told["upper"]["families"], told["upper"]["distance"]) == ({"tshirt": 0.01}, 0.05 * 0.55)  # as it was hung
     assert not (run / "garments-unfinished").exists()
 
     # The scans show the shirt outside the trousers, so it keeps off the body by what those take.
@@ -148,6 +152,7 @@ def test_templates_are_chosen_by_the_scans_that_show_them(tmp_path, capsys, monk
 
     monkeypatch.setattr("caphy.register.cloud.Cloud.of", lambda scan: scan)
     monkeypatch.setattr("caphy.register.template.choose", choose)
+    monkeypatch.setattr("caphy.register.template.distance", lambda *_: 0.01)
     monkeypatch.setattr("caphy.commands.register._hung", lambda *_: (Tshirt(), users_square(5)))
     (tmp_path / "body.npz").write_bytes(b"fit")
     command = SimpleNamespace(output=tmp_path, body="medium", upper_basis=None, lower_basis=None)
@@ -186,6 +191,28 @@ def test_one_garment_at_a_time_is_told_as_both(tmp_path, monkeypatch):
     assert chosen("lower") == {"lower": 3}
 
 
+def test_a_scan_that_can_no_longer_be_used_is_named_and_the_rest_chooses(capsys, monkeypatch):
+    """Its labels may have changed since the body was found."""
+    points, names = np.random.default_rng(0).random((90, 3)), ("scan0", "scan1")
+
+    class Scans(list):
+        """Clouds in place of scans."""
+
+    def of(scan: Cloud) -> Cloud:
+        if scan.name == "scan0":
+            raise CaphyError("scan0.ply: has no labels")
+        return scan
+
+    scans = Scans([Cloud(name, points, points, np.repeat([0, 1, 2], 30)) for name in names])
+    scans.names = names
+    monkeypatch.setattr("caphy.register.cloud.Cloud.of", of)
+    fit = SimpleNamespace(names=names, placements=plain_poses()[:2], figure=SimpleNamespace(placed=lambda _: None))
+    assert _targets(fit, range(2), scans, "lower")[0] == [1]
+    assert "left out: scan0.ply: has no labels" in capsys.readouterr().out
+    with pytest.raises(CaphyError, match=r"no scan shows the lower garment:\nscan0\.ply: has no labels"):
+        _targets(fit, [0], scans, "lower")
+
+
 def test_templates_are_not_chosen_by_what_is_held_out(tmp_path, capsys):
     """Where nothing is held out yet, it is said that all choose."""
     assert _shown(tmp_path, ("a", "b", "c")) == [0, 1, 2]
@@ -204,21 +231,25 @@ def test_nothing_to_fit_is_an_error_in_words(folder, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("spoilt", ["its eases", "every"])
-def test_a_cut_with_faces_of_no_area_is_not_kept(spoilt, capsys, monkeypatch):
-    """Eases that make one are left; a style that has one by itself is refused before anything is sewn from it."""
+def test_eases_that_no_mesh_can_be_cut_with_are_not_kept(spoilt, capsys, monkeypatch):
+    """They are left for the style's own; that has edges as long as it can be cut with, else it is refused."""
     told, hung = Tshirt(), Tshirt(ease=0.01)
-    flat = replace(users_square(5), material=np.zeros_like(users_square(5).material))
+
+    def make(family: Tshirt, body: BodyModel) -> Garment:
+        if family.ease == hung.ease or family.edge_length > 0.0201 or spoilt == "every":
+            raise too_sharp(family.edge_length)
+        return users_square(5)
+
     monkeypatch.setattr("caphy.register.hanging.hung_style", lambda *_: hung)
     monkeypatch.setattr("caphy.register.girth.Sheet.of", lambda *_: None)
-    monkeypatch.setattr(
-        "caphy.register.template.made",
-        lambda choice, _: flat if choice.style is hung or spoilt == "every" else users_square(5),
-    )
+    monkeypatch.setattr("caphy.garment.families.make", make)
     choice, model, target = Choice(told, 0.01, 300, ()), Model(0.2), SimpleNamespace(kind="upper")
+    figure = Figure.of(default_body())
     if spoilt == "every":
-        with pytest.raises(CaphyError, match="every face needs a rest area"):
-            _hung(choice, None, [target], [], model, None, Kept())
+        with pytest.raises(CaphyError, match=r"too sharply for edges of 20\.5 mm"):
+            _hung(choice, figure, [target], [], model, None, Kept())
         return
-    style, garment = _hung(choice, None, [target], [], model, None, Kept())
-    assert style is told and garment.material.any()
-    assert "the upper garment is cut without being hung: garment" in capsys.readouterr().out
+    style, garment = _hung(choice, figure, [target], [], model, None, Kept())
+    assert replace(style, edge_length=told.edge_length) == told and 0.019 < style.edge_length < 0.0201
+    assert garment.name == users_square(5).name
+    assert "the upper garment is cut without being hung: the cut turns" in capsys.readouterr().out

@@ -70,6 +70,8 @@ def test_family_and_lengths_come_back(scene, kind, monkeypatch):
     marks = Landmarks.of(default_body())
     choice = template.choose(placed.figure, [Target.of(cloud, placed, kind)], kind, quiet)
     assert choice.looked_at >= 300
+    targets = [Target.of(cloud, placed, kind)]
+    assert template.distance(choice.style, placed.figure, targets) == choice.distance
     assert choice.style.family == {"upper": "tshirt", "lower": "trousers"}[kind]
     arm = np.linalg.norm(marks.joint("left_wrist") - marks.joint("left_shoulder"))
     true = {
