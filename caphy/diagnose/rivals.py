@@ -44,7 +44,7 @@ def settle_rivals(study: Study, found: Search, apart: Apart, learned: Learned | 
             continue
         others, what = [other.group for other in found.terms if other is not term], f"trying {rival.label} instead"
         fitted = refitted(aside, found, (*others, rival), what)
-        if _far_behind(fitted, found.fit):
+        if sure and _far_behind(fitted, found.fit):
             continue
         fitted = retold(aside, fitted, what)
         better = [fitted.misfit < found.fit.misfit, _median(apart, fitted) < _median(apart, found.fit)]
