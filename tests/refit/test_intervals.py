@@ -10,7 +10,6 @@ from scipy.stats import t as student
 
 from caphy.effects.model import Model
 from caphy.refit.columns import Column
-from caphy.refit.descent import _way_left
 from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
 from caphy.refit.intervals import half_widths, intervals
@@ -195,13 +194,3 @@ def test_a_fit_has_settled_by_what_its_change_takes_away_where_it_ended():
     fit = Fit(first, there, (stiffness,), before, [], after, 1.0, np.ones(5), EVEN)
     assert fit.promise == pytest.approx(5 * 0.05**2)
     assert not fit.settled
-
-
-def test_the_way_that_is_left_is_told_by_two_steps():
-    """Steps of 1 and 1/2 lead one further; steps that turn, or do not shrink, are not followed that far."""
-    metric = np.diag([1.0, 4.0])
-    points = [np.zeros(2), np.array([1.0, -2.0]), np.array([1.5, -3.0])]
-    np.testing.assert_allclose(_way_left(points, metric), [0.5, -1.0])
-    np.testing.assert_array_equal(_way_left([*points[:2], np.array([1.5, -1.0])], metric), 0.0)
-    np.testing.assert_allclose(_way_left([0 * points[0], points[1], 2 * points[1]], metric), 4 * points[1])
-    np.testing.assert_array_equal(_way_left(points[:2], metric), 0.0)
