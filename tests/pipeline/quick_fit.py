@@ -31,7 +31,7 @@ def softer(arguments: list[str]) -> int:
 def hurry(put=setattr) -> None:
     """Have the registration look at less; ``put`` as setattr."""
     from caphy.commands import fabric
-    from caphy.garment.families import make
+    from caphy.garment.families import make_nearest
     from caphy.register import fit, hanging, template
     from caphy.training import collide
 
@@ -44,7 +44,7 @@ def hurry(put=setattr) -> None:
     put(
         template,
         "made",
-        lambda choice, figure: make(replace(choice.style, edge_length=0.036), template.dressed_body(figure)),
+        lambda style, figure: make_nearest(replace(style, edge_length=0.036), template.dressed_body(figure)),
     )
     put(hanging, "ROUNDS", 1)
     put(hanging, "EDGE_LENGTH", 0.05)
