@@ -148,7 +148,8 @@ def table(found: Refit) -> str:
     lines = [f"{'number':40s} {'value':>11s}   95 % interval"]
     for name, (value, low, high, unit) in found.coefficients.items():
         lines.append(f"{name:40s} {value:11.4g}   {low:.4g} to {high:.4g} {unit}")
-    floor = "" if held.floor_mm is None else f"; noise alone gives {held.floor_mm:.2f} mm"
+    most = "at most " if held.of_clouds else ""
+    floor = "" if held.floor_mm is None else f"; noise alone gives {most}{held.floor_mm:.2f} mm"
     lines += [
         f"misfit: {100 * found.share:z.1f} % less where it was fitted, {100 * held.share:z.1f} % less where it was not",
         f"held-out median distance: {held.before_mm:.2f} -> {held.after_mm:.2f} mm{floor}",

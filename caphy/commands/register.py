@@ -202,6 +202,7 @@ def _garments(command: Garments) -> None:
     from caphy.effects.presets import fabric_model
     from caphy.io.places import write_text
     from caphy.register.result import read_fit
+    from caphy.register.styles import KINDS
     from caphy.scan.scan_set import ScanSet
 
     body = load_body(command.body)
@@ -214,7 +215,7 @@ def _garments(command: Garments) -> None:
     with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
         for kind in sorted(command.kinds):  # what is worn beneath comes first
             found[kind] = _garment(command, fit, shown, scans, kind, model, Kept(folder))
-            rest = {each: command.output / f"{each}.npz" for each in ("lower", "upper") if each not in found}
+            rest = {each: command.output / f"{each}.npz" for each in KINDS if each not in found}
             told = still_told(record, rest) | found  # written each time: the next one may fail
             write_text(record, json.dumps(dict(sorted(told.items())), indent=1, allow_nan=False))
 

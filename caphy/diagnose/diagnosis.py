@@ -26,7 +26,7 @@ from caphy.io.measurements import Measurement
 from caphy.measure.remarks import remarks
 from caphy.measure.track import Progress
 from caphy.refit.across import Across, across
-from caphy.refit.again import fitted_again
+from caphy.refit.again import as_registered_first, fitted_again
 from caphy.refit.columns import strengths
 from caphy.refit.crew import Crew
 from caphy.refit.descent import weighed_anew
@@ -212,13 +212,13 @@ def _concluded(
             if apart is not None:
                 there = apart.registered_by(again.fit.model)
                 errors = there.errors(again.fit)
-                notes += _held_out_as_before(apart, there)
+                notes += as_registered_first("held-out clouds", apart.study, there.study is not apart.study)
             # Clouds registered with it favour it more than the first ones did: here it must hold all the more.
             if reason := _not_believed(found, before, errors, numbers):
                 notes.append(_taken_back(terms, reason))
                 terms, before = [], first.responses
         else:
-            notes += _as_registered_first(study)
+            notes += as_registered_first("clouds", study, False)
     verdict = "nothing"
     if elsewhere.beats:
         verdict = "none of these"
@@ -294,21 +294,6 @@ def _went(times: int, earlier: Mapping[str, Coefficient], numbers: Mapping[str, 
     return f"clouds were registered again, {often}, by what was fitted to them; it moved {', '.join(moved)}"
 
 
-def _as_registered_first(study: Study) -> list[str]:
-    """Why clouds were not registered again, in words; nothing where there are none."""
-    if not study.of_clouds:
-        return []
-    why = study.why_not or "its cloth flies apart"
-    return [f"clouds were not registered again by what was fitted to them: {why}"]
-
-
-def _held_out_as_before(apart: Apart, there: Apart) -> list[str]:
-    """Why held-out clouds could not be registered by what was fitted, in words; nothing where they were."""
-    if there.study is not apart.study or not apart.study.why_not:
-        return []
-    return [f"held-out clouds were not registered again by what was fitted: {apart.study.why_not}"]
-
-
 def unconverged(responses: Sequence[Response]) -> list[str]:
     """In how many frames of windows the solver did not converge, in words; nothing where it did in all."""
     every = np.concatenate([response.converged for response in responses])
@@ -324,7 +309,7 @@ def _not_by_moved(study: Study, base: Base | None, apart: Apart | None) -> list[
     """Where clouds could not be registered by the parameters that base measurements moved, and why, in words."""
     if base is None or not base.changed:
         return []
-    failed = {"base": base.why_not, "diagnosed": study.why_not, "held-out": apart.study.why_not if apart else ""}
+    failed = {"diagnosed": study.why_not, "held-out": apart.study.why_not if apart else ""}
     return [
         f"{whose} clouds were not registered again by the parameters that base measurements moved: {why}"
         for whose, why in failed.items()

@@ -120,6 +120,8 @@ def learned_of(base: Base) -> list[str]:
     if base.changed:
         moved = ", ".join(f"{name} {100 * by:+.3g} %{_limit(by)}" for name, by in base.changed.items())
         said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
+    if base.changed and base.why_not:
+        said.append(f"Base clouds were not registered again by these parameters: {base.why_not}.")
     said.append(f"Of the base measurements a median distance of {base.median_mm:.2f} mm is left in the windows.")
     return said
 

@@ -75,6 +75,15 @@ def fitted_again(study: Study, best: Fit, variance: np.ndarray, weigh: bool = Fa
     return replace(found, fit=replace(best, by_retelling=gone), times=len(pairs) - 1)
 
 
+def as_registered_first(whose: str, study: Study, again: bool) -> tuple[str, ...]:
+    """Why clouds of a study were not registered ``again`` by what was fitted, in words; nothing where they were, or
+    there are none."""
+    if again or not study.of_clouds:
+        return ()
+    why = study.why_not or "its cloth flies apart"
+    return (f"{whose} were not registered again by what was fitted: {why}",)
+
+
 def _size(change: np.ndarray, metric: np.ndarray) -> float:
     return float(np.sqrt(max(change @ metric @ change, 0.0)))
 

@@ -35,13 +35,14 @@ class HeldOut:
 
     Attributes:
         before_mm, after_mm: of the model as it was, and as it is.
-        floor_mm: what the noise of the measurement alone gives; none if it is not known.
+        floor_mm: what the noise of the measurement alone gives, of clouds at most; none if it is not known.
         before, after: median of each window (W,) [mm].
         share: of the misfit that is gone, as :func:`caphy.refit.fit.gone` tells it: finer than medians, which noise
             dominates.
         share_error: its standard error over windows.
         few: what must be exceeded instead, where few windows decide.
         across: what the fit takes away from one motion to another of those it was fitted to, if there are several.
+        of_clouds: whether vertices were registered from clouds.
     """
 
     before_mm: float
@@ -53,6 +54,7 @@ class HeldOut:
     share_error: float
     few: Few | None = None
     across: Across | None = None
+    of_clouds: bool = False
 
     @property
     def unchanged(self) -> HeldOut:
@@ -172,7 +174,8 @@ class Apart:
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
         floors = self.study.floors_mm
         floor = float(np.median(floors)) if floors else None
-        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], share, error, few, elsewhere)
+        clouds = self.study.of_clouds
+        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], share, error, few, elsewhere, clouds)
 
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""

@@ -16,7 +16,7 @@ from caphy.io.measurements import Measurement
 from caphy.measure.scene import Scene
 from caphy.measure.track import Progress
 from caphy.refit import openings
-from caphy.refit.again import fitted_again
+from caphy.refit.again import as_registered_first, fitted_again
 from caphy.refit.clouds import all_registered
 from caphy.refit.columns import Column, addition, extended, further, moved, strengths, tunable
 from caphy.refit.crew import Crew
@@ -106,27 +106,18 @@ def refit(
     if not why:
         again = fitted_again(study, fitted, variance, learned is None)
         if again is not None:
-            fitted, errors = again.fit, judge.registered_by(again.fit.model).errors(again.fit)
+            there = judge.registered_by(again.fit.model)
+            fitted, errors = again.fit, there.errors(again.fit)
             numbers = intervals(fitted, learned, len(study.scenes))
             why = _refused(errors, again.before, fitted, numbers, kept)
-        notes = _as_registered_first(study, proof, again is not None)
+            notes = as_registered_first("held-out clouds", proof, there.study is not proof)
+        else:
+            notes = as_registered_first("clouds", study, False)
     if why:
         why = f"{why}: {', '.join(kept) or 'the new parameters'} refused"
         reason = "; ".join(filter(None, (reason, why)))
         return Refit(model, (), names, numbers, errors, reason, fitted.share, True, notes)
     return Refit(fitted.model, kept, removed, numbers, errors, reason, fitted.share, notes=notes)
-
-
-def _as_registered_first(study: Study, proof: Study, again: bool) -> tuple[str, ...]:
-    """Why clouds were not registered by what was fitted, in words; nothing where they were, or there are none.
-
-    ``again`` tells whether those were that it was fitted to, of the ``study``.
-    """
-    if again:
-        whose, why = "held-out clouds", proof.why_not
-    else:
-        whose, why = "clouds", study.of_clouds and (study.why_not or "its cloth flies apart")
-    return (f"{whose} were not registered again by what was fitted: {why}",) if why else ()
 
 
 def _refused(

@@ -193,6 +193,7 @@ class Study:
     def registered_by(self, model: Model) -> Study:
         """The same windows, clouds registered by another model; what is known of them holds. This study itself where
         that model does not follow its clouds, which :attr:`why_not` says, or there are none."""
+        self.why_not = ""
         if not self.of_clouds:
             return self
         try:

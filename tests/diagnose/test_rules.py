@@ -358,32 +358,15 @@ def test_an_effect_that_is_fitted_on_is_named_once():
     assert [term.group.label for term in found.terms] == ["gust", "pressure", "parameters of gust"]
 
 
-def test_why_clouds_were_not_registered_again_is_said():
-    def study(of_clouds: bool, why_not: str = "") -> SimpleNamespace:
-        return SimpleNamespace(of_clouds=of_clouds, why_not=why_not)
-
-    assert diagnosis._as_registered_first(study(False)) == []
-    (said,) = diagnosis._as_registered_first(study(True, "only 2 of 15 windows would be left"))
-    assert said.endswith(": only 2 of 15 windows would be left")
-    (said,) = diagnosis._as_registered_first(study(True))
-    assert said.endswith("flies apart")
-
-    def apart(why_not: str = "") -> SimpleNamespace:
-        return SimpleNamespace(study=SimpleNamespace(why_not=why_not))
-
-    vertices, clouds = apart(), apart("frame 7: no face is near")
-    assert diagnosis._held_out_as_before(vertices, vertices) == diagnosis._held_out_as_before(clouds, apart()) == []
-    (said,) = diagnosis._held_out_as_before(clouds, clouds)
-    assert said.startswith("held-out clouds") and said.endswith(": frame 7: no face is near")
-
-
 def test_clouds_that_moved_parameters_do_not_follow_are_named():
     moved = SimpleNamespace(changed={"strain_stvk.lame_mu": 1.5}, why_not="frame 3: no face is near")
     stayed = SimpleNamespace(changed={}, why_not="")
     study, failed = SimpleNamespace(why_not=""), SimpleNamespace(study=SimpleNamespace(why_not="frame 7: none"))
+    moved.before, moved.median_mm = None, 2.0
     assert diagnosis._not_by_moved(study, None, None) == diagnosis._not_by_moved(study, stayed, failed) == []
-    of_base, held_out = diagnosis._not_by_moved(study, moved, failed)
-    assert of_base.startswith("base clouds") and of_base.endswith("moved: frame 3: no face is near")
+    _, of_base, _ = figures.learned_of(moved)
+    assert of_base.startswith("Base clouds") and of_base.endswith("parameters: frame 3: no face is near.")
+    (held_out,) = diagnosis._not_by_moved(study, moved, failed)
     assert held_out.startswith("held-out clouds") and held_out.endswith("moved: frame 7: none")
 
 

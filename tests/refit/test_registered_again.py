@@ -16,13 +16,13 @@ from caphy.errors import CaphyError
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered
 from caphy.refit import again
-from caphy.refit.again import Again, agreed, fitted_again
+from caphy.refit.again import as_registered_first, Again, agreed, fitted_again
 from caphy.refit.columns import addition, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.descent import fit
 from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
-from caphy.refit.refit import _as_registered_first, refit
+from caphy.refit.refit import refit
 from caphy.refit.study import Study
 
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -129,11 +129,16 @@ def test_what_could_not_be_registered_again_is_said(whose, again, monkeypatch):
     assert note in before_and_after("model", MODEL, found.model, [], Crew(), notes=found.notes)
 
 
-def test_nothing_is_said_where_nothing_failed():
-    vertices, clouds = (SimpleNamespace(of_clouds=of_clouds, why_not="") for of_clouds in (False, True))
-    assert _as_registered_first(vertices, vertices, again=False) == ()
-    assert _as_registered_first(clouds, clouds, again=True) == ()
-    assert "flies apart" in " ".join(_as_registered_first(clouds, clouds, again=False))
+def test_why_clouds_were_not_registered_again_is_said():
+    vertices, clouds, followed = (
+        SimpleNamespace(of_clouds=of_clouds, why_not=why)
+        for of_clouds, why in ((False, ""), (True, "only 2 of 15 windows would be left"), (True, ""))
+    )
+    assert as_registered_first("clouds", vertices, False) == as_registered_first("clouds", clouds, True) == ()
+    (said,) = as_registered_first("held-out clouds", clouds, False)
+    assert said.startswith("held-out clouds") and said.endswith(": only 2 of 15 windows would be left")
+    (said,) = as_registered_first("clouds", followed, False)
+    assert said.endswith("flies apart")
 
 
 def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():
@@ -160,3 +165,4 @@ def test_a_stiffness_is_told_nearer_the_truth_by_clouds_registered_with_it():
     assert study.why_not == ""
     assert study.registered_by(falls_out_of_them) is study
     assert study.why_not != ""
+    assert study.registered_by(MODEL) is not study and study.why_not == ""

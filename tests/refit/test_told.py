@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,3 +34,9 @@ def test_numbers_in_which_an_effect_is_not_linear_are_told_to_be_held():
 def test_what_every_cloth_has_is_missed(effects, said):
     found = _lacking(Model(0.2, effects))
     assert bool(found) == bool(said) and said in " ".join(found)
+
+
+@pytest.mark.parametrize(("of_clouds", "most"), [(False, ""), (True, "at most ")])
+def test_noise_of_clouds_is_an_upper_bound(of_clouds, most):
+    held = replace(HELD_OUT, floor_mm=1.5, of_clouds=of_clouds)
+    assert f"; noise alone gives {most}1.50 mm" in table(Refit(PLAIN, (), (), {}, held, "", 0.3))
