@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -195,14 +196,15 @@ def _looked(study: Study, model: Model, free: Sequence[Response], most_of_mesh: 
     responses = picked(probed, range(len(columns)))
     variance = study.variance(responses)
     known = Weighing.robust(responses, variance).of(responses)
-    ridge = min(RIDGES, key=lambda each: float(known.misfit(np.array(_left_out(known, each))).sum()))
+    ridge = min(RIDGES, key=lambda each: float(known.misfit(known.left_out(partial(ridged, ridge=each))).sum()))
     return _Look(groups, columns, places, probed, variance, known, ridge)
 
 
 def _gains_left(study: Study, look: _Look, model: Model) -> tuple[float, float]:
     """The best gains of the library and of flexible forces in windows corrected by all the others."""
     count = len(look.columns)
-    apart = [_corrected(r, c) for r, c in zip(look.probed, _left_out(look.known, look.ridge), strict=True)]
+    told = look.known.left_out(partial(ridged, ridge=look.ridge))
+    apart = [_corrected(response, change) for response, change in zip(look.probed, told, strict=True)]
     held = look.weighing.of(picked(apart, range(count)))
     rest = range(count, look.probed[0].columns.shape[-1])
     flexible = Flexible.of(study, picked(apart, rest), look.weighing).gains
@@ -240,14 +242,6 @@ def _fitted(study: Study, look: _Look, model: Model) -> Fit | None:
             return fitted if fitted.share >= _OFF else None
         off = [column for column, by in zip(off, far, strict=True) if by < far.max()]
     return None
-
-
-def _left_out(known: Evidence, ridge: float) -> list[np.ndarray]:
-    """The corrections (K,) told by all windows but each."""
-    normal, right = known.normal
-    return [
-        ridged(normal - w * a, right - w * b, ridge) for w, a, b in zip(known.weight, known.a, known.b, strict=True)
-    ]
 
 
 def _corrected(response: Response, change: np.ndarray) -> Response:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import comb
 
 import numpy as np
@@ -64,11 +64,11 @@ class Flexible:
     @cached_property
     def told(self) -> dict[str, Told]:
         """The probes that act here; of what swings the best beat."""
-        found = {}
+        found, told = {}, partial(ridged, ridge=RIDGE)
         for name, place in probe_places().items():
             if self.known.b[:, place].any():
                 forms = self._swinging() if name == TO_AND_FRO else [(None, self.known.picked(place))]
-                tried = [Told(_left_out(form), ridged(*form.normal, RIDGE), beat) for beat, form in forms]
+                tried = [Told(form.misfit(form.left_out(told)), told(*form.normal), beat) for beat, form in forms]
                 found[name] = min(tried, key=lambda each: each.misfit.sum())
         return found
 
@@ -111,11 +111,3 @@ def _followed(beat: float, first: float, last: float) -> np.ndarray:
     waves = np.stack([np.cos(2 * np.pi * beat * time), np.sin(2 * np.pi * beat * time)], 1)
     powers = np.vander(time - (first + last) / 2, ORDER + 1, increasing=True)
     return np.linalg.lstsq(powers, waves, rcond=None)[0]
-
-
-def _left_out(known: Evidence) -> np.ndarray:
-    normal, right = known.normal
-    fits = [
-        ridged(normal - w * a, right - w * b, RIDGE) for w, a, b in zip(known.weight, known.a, known.b, strict=True)
-    ]
-    return known.misfit(np.array(fits))

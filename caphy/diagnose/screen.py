@@ -62,14 +62,7 @@ def screened(known: Evidence, groups: Sequence[Group], places: dict[str, list[in
 
 def _left_out(known: Evidence, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """chi2 of each window (W,) with numbers fitted to all the others."""
-    if not len(lower):
-        return known.misfit(np.zeros(0))
-    normal, right = known.normal
-    fits = [
-        bounded(normal - w * a, right - w * b, lower, upper)
-        for w, a, b in zip(known.weight, known.a, known.b, strict=True)
-    ]
-    return known.misfit(np.array(fits))
+    return known.misfit(known.left_out(lambda normal, right: bounded(normal, right, lower, upper)))
 
 
 def covariance(known: Evidence, change: np.ndarray) -> np.ndarray:

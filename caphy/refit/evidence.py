@@ -10,7 +10,7 @@ out, fitting subsets of columns and resampling then cost nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,6 +66,12 @@ class Evidence:
     def normal(self) -> tuple[np.ndarray, np.ndarray]:
         """Sum over windows of A (K, K) and b (K,), weighted."""
         return np.einsum("w,wkl->kl", self.weight, self.a), np.einsum("w,wk->k", self.weight, self.b)
+
+    def left_out(self, solve: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Changes (W, K) that all windows but each ask for, solved for from :attr:`normal` of these."""
+        normal, right = self.normal
+        told = zip(self.weight, self.a, self.b, strict=True)
+        return np.array([solve(normal - w * a, right - w * b) for w, a, b in told]).reshape(self.b.shape)
 
 
 @dataclass(frozen=True, eq=False)

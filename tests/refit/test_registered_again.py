@@ -16,7 +16,7 @@ from caphy.errors import CaphyError
 from caphy.measure.scene import Scene
 from caphy.measure.track import registered
 from caphy.refit import again
-from caphy.refit.again import as_registered_first, Again, agreed, fitted_again
+from caphy.refit.again import Again, agreed, as_registered_first, fitted_again
 from caphy.refit.columns import addition, tunable
 from caphy.refit.crew import Crew
 from caphy.refit.descent import fit
