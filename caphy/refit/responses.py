@@ -168,9 +168,7 @@ class Watched:
         full = self.scene.potential(extended(model, columns))
         tangents, states = Tangents(self.scene, newton, full, columns, pushes), StartStates(self.scene, potential)
         simulator, recorder = recorded_simulator(self.scene, newton, SDIRK2())
-        # What each of many steps may leave adds up.
-        exact = newton.within(TOLERANCE / FINER)
-        steady = Simulator(exact, self.scene.motion, SDIRK2(), self.scene.pins)  # type: ignore[arg-type]
+        steady = Simulator(newton, self.scene.motion, SDIRK2(), self.scene.pins)  # type: ignore[arg-type]
         finer, abrupt = None, self._abrupt(model, columns)
         for frame in starts:
             recorder.stages.clear()

@@ -35,6 +35,7 @@ _DIRECTIONS = np.float32  # precision of Newton directions: relative errors of 1
 _NEAR = 400  # times the tolerance: the residual from which on an earlier factor is tried, at a tenth of the cost
 _FALLS = 0.5  # by which it must fall with that, or else a new one comes next
 _MEMORY = 8  # moves that an earlier factor is corrected along
+_BEYOND = 0.1  # of the tolerance: where to a minimisation goes on while an earlier factor helps
 _HELD = 3.0  # times its inertia: what holds a vertex that is pressed into the body, elasticity included
 _PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
@@ -249,7 +250,8 @@ class Newton:
         for iteration in range(self.max_iterations):
             if here.residual <= max(planes.due, self.tolerance):
                 here = self._settled(here, step, planes)
-            if here.residual <= self.tolerance and iteration >= least:
+            enough = self.tolerance * (_BEYOND if curvature.helps else 1.0)
+            if here.residual <= enough and iteration >= least:
                 return here.x, Report(True, iteration, here.residual, "converged")
             if (there := self._by_earlier(curvature, here, step)) is not None:
                 here = self._followed(there, step, planes)
