@@ -96,12 +96,12 @@ def solve_one(right, fronts, first, start, rows, panels, trsv, gemv):
     """Replace ``right`` (3 V,), in elimination order, by the solution."""
     width, height, panel, _ = fronts
     letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
-    integers, scalars = np.zeros(4, np.int32), np.array([1.0, -1.0, 0.0], panels.dtype)
+    integers, scalars = np.zeros(4, np.int32), np.array([1.0, -1.0], panels.dtype)
     letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
     no, turned, lower = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED), letter + np.uint64(LOWER)
     n, m, ld, unit = integer, integer + np.uint64(4), integer + np.uint64(8), integer + np.uint64(12)
     integers[3] = 1
-    one, minus, none = scalar, scalar + item, scalar + item + item
+    one, minus = scalar, scalar + item
     work = np.empty(3 * height.max(), panels.dtype)
     for f in range(len(width)):
         own, size = 3 * width[f], 3 * height[f]
@@ -111,10 +111,11 @@ def solve_one(right, fronts, first, start, rows, panels, trsv, gemv):
         call(trsv, (lower, no, no, n, at, ld, mine, unit))
         if rest > 0:
             below = at + item * np.uint64(own)
-            call(gemv, (no, m, n, one, below, ld, mine, unit, none, work.ctypes.data, unit))
+            work[:rest] = 0  # not by BLAS: some of its versions take zero times NaN for NaN
+            call(gemv, (no, m, n, minus, below, ld, mine, unit, one, work.ctypes.data, unit))
             for i in range(width[f], height[f]):
                 for p in range(3):
-                    right[3 * rows[start[f] + i] + p] -= work[3 * i - own + p]
+                    right[3 * rows[start[f] + i] + p] += work[3 * i - own + p]
     for f in range(len(width) - 1, -1, -1):
         own, size = 3 * width[f], 3 * height[f]
         rest = size - own

@@ -32,7 +32,8 @@ _LONGEST = 16
 _SLOW = 0.5  # fall of the residual in one iteration that counts as slow
 _LEAPS = 3  # steps that a minimisation may take without descent
 _DIRECTIONS = np.float32  # precision of Newton directions: relative errors of 1e-4 do not cost an iteration
-_NEAR = 400  # times the tolerance: the residual from which on an earlier factor is tried, at a tenth of the cost
+_NEAR = 40  # times the tolerance: the residual from which on the last factor is tried again, at a tenth of the cost
+_HANDED = 400  # the same of one that an earlier minimisation made
 _FALLS = 0.5  # by which it must fall with that, or else a new one comes next
 _MEMORY = 8  # moves that an earlier factor is corrected along
 _BEYOND = 0.1  # of the tolerance: where to a minimisation goes on while an earlier factor helps
@@ -142,18 +143,18 @@ class Curvature:
     def __init__(self) -> None:
         self._factor: Factor | None = None
         self._told: list[tuple[np.ndarray, np.ndarray, float]] = []
-        self._tired, self._dt = False, 0.0
+        self._tired, self._dt, self.reach = False, 0.0, 0
 
     def begin(self, step: Step | None) -> None:
         """Be ready for a minimisation; what was known for another step length is forgotten."""
         dt = 0.0 if step is None else step.dt
         if step is None or dt != self._dt:
             self._factor = None
-        self._dt, self._tired = dt, False
+        self._dt, self._tired, self.reach = dt, False, _HANDED
 
     def renew(self, factor: Factor) -> None:
         """Go by another factor."""
-        self._factor, self._told, self._tired = factor, [], False
+        self._factor, self._told, self._tired, self.reach = factor, [], False, _NEAR
 
     @property
     def helps(self) -> bool:
@@ -250,12 +251,15 @@ class Newton:
         for iteration in range(self.max_iterations):
             if here.residual <= max(planes.due, self.tolerance):
                 here = self._settled(here, step, planes)
-            enough = self.tolerance * (_BEYOND if curvature.helps else 1.0)
-            if here.residual <= enough and iteration >= least:
-                return here.x, Report(True, iteration, here.residual, "converged")
-            if (there := self._by_earlier(curvature, here, step)) is not None:
-                here = self._followed(there, step, planes)
+            done = here.residual <= self.tolerance and iteration >= least
+            there = None
+            if not done or here.residual > _BEYOND * self.tolerance:
+                there = self._by_earlier(curvature, here, step)
+            if there is not None:
+                here = there if done else self._followed(there, step, planes)
                 continue
+            if done:
+                return here.x, Report(True, iteration, here.residual, "converged")
             factor, damping, level = self._factor(here, step, damping, level)
             curvature.renew(factor)
             direction, fraction = _safe(here, -factor.solve(here.gradient))
@@ -327,7 +331,7 @@ class Newton:
 
     def _by_earlier(self, curvature: Curvature, here: _Point, step: Step | None) -> _Point | None:
         """Where an earlier factor leads from near the minimum; None where it does not help."""
-        if not curvature.helps or here.residual > _NEAR * self.tolerance:
+        if not curvature.helps or here.residual > curvature.reach * self.tolerance:
             return None
         there = self._evaluate(here.x + torch.from_numpy(curvature.solve(here.gradient)), step, here.body)
         curvature.learn(here, there)
