@@ -32,7 +32,7 @@ _LONGEST = 16
 _SLOW = 0.5  # fall of the residual in one iteration that counts as slow
 _LEAPS = 3  # steps that a minimisation may take without descent
 _DIRECTIONS = np.float32  # precision of Newton directions: relative errors of 1e-4 do not cost an iteration
-_NEAR = 40  # times the tolerance: the residual from which on the last factor is tried again, at a tenth of the cost
+_NEAR = 150  # times the tolerance: the residual from which on the last factor is tried again, at a tenth of the cost
 _HANDED = 400  # the same of one that an earlier minimisation made
 _FALLS = 0.5  # by which it must fall with that, or else a new one comes next
 _MEMORY = 8  # moves that an earlier factor is corrected along
@@ -252,10 +252,7 @@ class Newton:
             if here.residual <= max(planes.due, self.tolerance):
                 here = self._settled(here, step, planes)
             done = here.residual <= self.tolerance and iteration >= least
-            there = None
-            if not done or here.residual > _BEYOND * self.tolerance:
-                there = self._by_earlier(curvature, here, step)
-            if there is not None:
+            if (there := self._by_earlier(curvature, here, step, done)) is not None:
                 here = there if done else self._followed(there, step, planes)
                 continue
             if done:
@@ -329,9 +326,10 @@ class Newton:
         planes.due = _STATIC_SETTLING * here.residual if step is None else 0.0
         return here
 
-    def _by_earlier(self, curvature: Curvature, here: _Point, step: Step | None) -> _Point | None:
-        """Where an earlier factor leads from near the minimum; None where it does not help."""
-        if not curvature.helps or here.residual > curvature.reach * self.tolerance:
+    def _by_earlier(self, curvature: Curvature, here: _Point, step: Step | None, done: bool) -> _Point | None:
+        """Where an earlier factor leads from near the minimum; None where it does not help, or all is ``done``."""
+        least, most = (_BEYOND if done else 0.0) * self.tolerance, curvature.reach * self.tolerance
+        if not curvature.helps or not least < here.residual <= most:
             return None
         there = self._evaluate(here.x + torch.from_numpy(curvature.solve(here.gradient)), step, here.body)
         curvature.learn(here, there)
