@@ -8,7 +8,7 @@ from caphy.body.surface import NearestPoints, Surface
 
 
 class Following:
-    """A surface that remembers its last answers, which make the next faster and no other."""
+    """A surface that remembers its last answers, which make the next ones faster, not different."""
 
     def __init__(self, surface: Surface) -> None:
         self._surface = surface

@@ -36,7 +36,7 @@ _NEAR = 150  # times the tolerance: the residual from which on the last factor i
 _HANDED = 400  # the same of one that an earlier minimisation made
 _FALLS = 0.5  # by which it must fall with that, or else a new one comes next
 _MEMORY = 8  # moves that an earlier factor is corrected along
-_BEYOND = 0.1  # of the tolerance: where to a minimisation goes on while an earlier factor helps
+_BEYOND = 0.1  # of the tolerance: where to a time step goes on while an earlier factor helps
 _HELD = 3.0  # times its inertia: what holds a vertex that is pressed into the body, elasticity included
 _PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
@@ -327,9 +327,10 @@ class Newton:
         return here
 
     def _by_earlier(self, curvature: Curvature, here: _Point, step: Step | None, done: bool) -> _Point | None:
-        """Where an earlier factor leads from near the minimum; None where it does not help, or all is ``done``."""
-        least, most = (_BEYOND if done else 0.0) * self.tolerance, curvature.reach * self.tolerance
-        if not curvature.helps or not least < here.residual <= most:
+        """Where an earlier factor leads from near the minimum; None where it does not help, or enough is ``done``."""
+        if not curvature.helps or here.residual > curvature.reach * self.tolerance:
+            return None
+        if done and (step is None or here.residual <= _BEYOND * self.tolerance):
             return None
         there = self._evaluate(here.x + torch.from_numpy(curvature.solve(here.gradient)), step, here.body)
         curvature.learn(here, there)
