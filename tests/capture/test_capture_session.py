@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from small_session import PLAN, small_session
 
 from caphy.body.bundled import default_body
+from caphy.capture import drape
 from caphy.capture.drape import FINE, Dresser
 from caphy.capture.fusion import _noise
 from caphy.capture.optics import Optics
@@ -192,10 +193,19 @@ def test_simulated_cloth_is_at_rest_outside_the_body(session):
     assert np.linalg.norm(cloth["lower"] - skinned, axis=1)[hem].mean() > 0.005  # it hangs, and is not just carried
 
 
-def test_a_shirt_that_slides_comes_to_rest(session):
-    """Nothing rubs, so the flat of the minimum is wide: with planes renewed at convergence alone it took 300. Meshes
-    differ in rounding from processor to processor, on one of which it takes 194."""
+def test_a_shirt_that_slides_comes_to_rest(session, monkeypatch):
+    """Nothing rubs, so the flat of the minimum is wide, and the way there is chaotic: starts a tenth of a micrometre
+    apart take 160 to 390 iterations, and 160 to 620 where planes are renewed at convergence alone."""
     subject = make_subject(default_body("medium"), 5, "tank", "skirt", edge_length=0.045)
-    only = replace(subject, garments={"upper": subject.garments["upper"]})
-    _, report = Dresser(only, read_poses(session / "truth" / "poses.npz")).dressed(1)
-    assert report["upper"]["converged"] and report["upper"]["iterations"] < 240
+    dresser = Dresser(
+        replace(subject, garments={"upper": subject.garments["upper"]}), read_poses(session / "truth" / "poses.npz")
+    )
+    settled, random = drape._settled, np.random.default_rng(0)
+
+    def shaken(worn, motion, skin, guess):
+        return settled(worn, motion, skin, guess + 1e-7 * random.standard_normal(guess.shape))
+
+    monkeypatch.setattr(drape, "_settled", shaken)
+    reports = [dresser.dressed(1)[1]["upper"] for _ in range(6)]
+    assert all(report["converged"] and report["residual_N"] <= FINE for report in reports)
+    assert np.mean([report["iterations"] for report in reports]) < 400
