@@ -8,6 +8,7 @@ import torch
 from caphy.body.surface import NearestPoints, Surface
 from caphy.effects.base import BodyState
 from caphy.solve.body_motion import set_out
+from caphy.solve.following import Following
 from caphy.solve.paths import path
 
 _REACH = 0.05  # cloth nearer than this is carried along by the surface [m]
@@ -22,7 +23,7 @@ class MeshBody:
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, fps: float) -> None:
         """``vertices`` (T, B, 3) [m], ``faces`` (G, 3) wound outwards, ``fps`` [Hz]."""
         self.fps, self.faces, self._path = fps, faces, path(vertices, fps)
-        self._surface = Surface.of(faces, vertices[0])
+        self._surface = Following(Surface.of(faces, vertices[0]))
 
     def vertices(self, time: float) -> np.ndarray:
         """Positions (B, 3) [m] at a time [s]."""
@@ -30,7 +31,7 @@ class MeshBody:
 
     def nearest(self, time: float, x: np.ndarray) -> NearestPoints:
         """Nearest points of the surface at a time [s] for positions x (V, 3) [m]."""
-        return self._surface.nearest(x, self.vertices(time))
+        return self._surface.nearest(time, x, self.vertices(time))
 
     def state(self, time: float, x: np.ndarray, dt: float, lead: float = 0.0) -> BodyState:
         """What positions x (V, 3) [m] see of the body at a time [s]; velocities as in a step of ``dt`` seconds."""
@@ -49,4 +50,4 @@ class MeshBody:
 
     def _followed(self, found: NearestPoints, time: float) -> np.ndarray:
         """Where the material points found on the surface are at another time, (V, 3)."""
-        return np.einsum("vk,vkc->vc", found.barycentric, self.vertices(time)[self._surface.faces[found.face]])
+        return np.einsum("vk,vkc->vc", found.barycentric, self.vertices(time)[self.faces[found.face]])

@@ -15,6 +15,7 @@ from caphy.effects.base import BodyState
 from caphy.garment.template import Garment
 from caphy.io.poses import PoseSequence
 from caphy.rotations import axis_angle_from_quaternion, matrix_from_axis_angle, quaternion_from_axis_angle
+from caphy.solve.following import Following
 from caphy.solve.paths import path
 
 REACH = 0.05
@@ -51,9 +52,7 @@ class BodyMotion:
         self.fps = self.poses.fps
         self._turned = path(_unbroken(quaternion_from_axis_angle(self.poses.poses)), self.fps)
         self._moved = path(self.poses.transl, self.fps)
-        self._surface = Surface.of(body.faces, body.v_template)
-        self._faces = np.zeros(0, dtype=np.int64)  # answers of the last query, which speed up the next
-        self._last: tuple[float, np.ndarray, NearestPoints] | None = None  # time, positions and answers
+        self._surface = Following(Surface.of(body.faces, body.v_template))
         self._posed: OrderedDict[float, np.ndarray] = OrderedDict()
         self._skeletons: OrderedDict[float, _Skeleton] = OrderedDict()
         self._anchor_time, self._anchors = np.nan, garment.vertices
@@ -137,24 +136,7 @@ class BodyMotion:
 
     def nearest(self, time: float, x: np.ndarray) -> NearestPoints:
         """Nearest points of the body surface at a time [s] for positions x (V, 3) [m]."""
-        body = self.vertices(np.array([time]))[0]
-        if self._last is None or self._last[0] != time or len(self._last[1]) != len(x):
-            guess = self._faces if len(self._faces) == len(x) else None
-            found = self._surface.nearest(x, body, guess)
-        else:
-            found = self._renewed(x, body, *self._last[1:])
-        self._faces, self._last = found.face, (time, x.copy(), found)
-        return found
-
-    def _renewed(self, x: np.ndarray, body: np.ndarray, before: np.ndarray, found: NearestPoints) -> NearestPoints:
-        """Nearest points of positions x (V, 3) of which most are where they were; only the others are looked for."""
-        moved = np.flatnonzero((x != before).any(1))
-        if not len(moved):
-            return found
-        fields = tuple(field.copy() for field in found)
-        for field, new in zip(fields, self._surface.nearest(x[moved], body, found.face[moved]), strict=True):
-            field[moved] = new
-        return NearestPoints(*fields)
+        return self._surface.nearest(time, x, self.vertices(np.array([time]))[0])
 
     def state(self, time: float, x: np.ndarray, dt: float, lead: float = 0.0) -> BodyState:
         """What positions x (V, 3) [m] see of the body at a time [s].

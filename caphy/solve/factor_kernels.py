@@ -13,9 +13,6 @@ import numpy as np
 from caphy.solve.lapack import call
 
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
-_fast = numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy", boundscheck=False
-)
 
 NO, TRANSPOSED, LEFT, RIGHT, LOWER = 0, 1, 2, 3, 4
 _LETTERS = np.frombuffer(b"NTLRL", dtype=np.uint8)
@@ -94,37 +91,43 @@ def _add_to_square(passed, own, rest, child, place):
                     passed[target + 3 * place[i] + p] += child[source + 3 * i + p]
 
 
-@_fast
-def solve_one(right, fronts, first, start, rows, panels):
+@_compiled
+def solve_one(right, fronts, first, start, rows, panels, trsv, gemv):
     """Replace ``right`` (3 V,), in elimination order, by the solution."""
     width, height, panel, _ = fronts
-    local = np.empty(3 * height.max(), panels.dtype)
+    letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
+    integers, scalars = np.zeros(4, np.int32), np.array([1.0, -1.0], panels.dtype)
+    letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
+    no, turned, lower = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED), letter + np.uint64(LOWER)
+    n, m, ld, unit = integer, integer + np.uint64(4), integer + np.uint64(8), integer + np.uint64(12)
+    integers[3] = 1
+    one, minus = scalar, scalar + item
+    work = np.empty(3 * height.max(), panels.dtype)
     for f in range(len(width)):
         own, size = 3 * width[f], 3 * height[f]
-        local[:own] = right[3 * first[f] : 3 * first[f] + own]
-        local[own:size] = 0.0
-        for j in range(own):
-            column = panels[panel[f] + j * size : panel[f] + (j + 1) * size]
-            value = local[j] / column[j]
-            local[j] = value
-            for i in range(j + 1, size):
-                local[i] -= column[i] * value
-        right[3 * first[f] : 3 * first[f] + own] = local[:own]
-        for k in range(width[f], height[f]):
-            for p in range(3):
-                right[3 * rows[start[f] + k] + p] += local[3 * k + p]
+        rest = size - own
+        integers[0], integers[1], integers[2] = own, rest, size
+        at, mine = panels.ctypes.data + item * np.uint64(panel[f]), right.ctypes.data + item * np.uint64(3 * first[f])
+        call(trsv, (lower, no, no, n, at, ld, mine, unit))
+        if rest > 0:
+            below = at + item * np.uint64(own)
+            work[:rest] = 0  # not by BLAS: some of its versions take zero times NaN for NaN
+            call(gemv, (no, m, n, minus, below, ld, mine, unit, one, work.ctypes.data, unit))
+            for i in range(width[f], height[f]):
+                for p in range(3):
+                    right[3 * rows[start[f] + i] + p] += work[3 * i - own + p]
     for f in range(len(width) - 1, -1, -1):
         own, size = 3 * width[f], 3 * height[f]
-        for k in range(height[f]):
-            for p in range(3):
-                local[3 * k + p] = right[3 * rows[start[f] + k] + p]
-        for j in range(own - 1, -1, -1):
-            column = panels[panel[f] + j * size : panel[f] + (j + 1) * size]
-            total = column[j] * 0
-            for i in range(j + 1, size):
-                total += column[i] * local[i]
-            local[j] = (local[j] - total) / column[j]
-        right[3 * first[f] : 3 * first[f] + own] = local[:own]
+        rest = size - own
+        integers[0], integers[1], integers[2] = own, rest, size
+        at, mine = panels.ctypes.data + item * np.uint64(panel[f]), right.ctypes.data + item * np.uint64(3 * first[f])
+        if rest > 0:
+            below = at + item * np.uint64(own)
+            for i in range(width[f], height[f]):
+                for p in range(3):
+                    work[3 * i - own + p] = right[3 * rows[start[f] + i] + p]
+            call(gemv, (turned, m, n, minus, below, ld, work.ctypes.data, unit, one, mine, unit))
+        call(trsv, (lower, turned, no, n, at, ld, mine, unit))
 
 
 @_compiled

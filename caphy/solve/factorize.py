@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from caphy.solve import factor_kernels
-from caphy.solve.lapack import GEMM, POTRF, SYRK, TRSM
+from caphy.solve.lapack import GEMM, GEMV, POTRF, SYRK, TRSM, TRSV
 from caphy.solve.ordering import Separator
 
 
@@ -71,7 +71,7 @@ class Factor:
         columns = np.array(columns, dtype=dtype, order="C").reshape(len(columns), -1)
         where = (s._fronts, s._first, s._start, s._rows, self._panels)
         if len(columns) == 1:
-            factor_kernels.solve_one(columns[0], *where)
+            factor_kernels.solve_one(columns[0], *where, TRSV[dtype], GEMV[dtype])
         else:
             factor_kernels.solve_many(columns, *where, TRSM[dtype], GEMM[dtype])
         solution = np.empty((*right.shape[:2], len(columns)))

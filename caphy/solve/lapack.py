@@ -41,5 +41,7 @@ def _precisions(module: str, name: str) -> dict[type, np.uint64]:
 
 POTRF = _precisions("cython_lapack", "potrf")
 TRSM = _precisions("cython_blas", "trsm")
+TRSV = _precisions("cython_blas", "trsv")
 SYRK = _precisions("cython_blas", "syrk")
+GEMV = _precisions("cython_blas", "gemv")
 GEMM = _precisions("cython_blas", "gemm")

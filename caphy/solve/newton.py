@@ -32,8 +32,12 @@ _LONGEST = 16
 _SLOW = 0.5  # fall of the residual in one iteration that counts as slow
 _LEAPS = 3  # steps that a minimisation may take without descent
 _DIRECTIONS = np.float32  # precision of Newton directions: relative errors of 1e-4 do not cost an iteration
-_NEAR = 40  # times the tolerance: the residual at which the last factor is tried again, at a quarter of the cost
-_FALLS = 0.3  # by which it must fall with that
+_NEAR = 150  # times the tolerance: the residual from which on the last factor is tried again, at a tenth of the cost
+_HANDED = 400  # the same of one that an earlier minimisation made
+_FALLS = 0.5  # by which it must fall with that, or else a new one comes next
+_STATIC_NEAR, _STATIC_FALLS = 40, 0.3  # in statics; what does not fall by that is not gone to
+_MEMORY = 8  # moves that an earlier factor is corrected along
+_BEYOND = 0.1  # of the tolerance: where to a time step goes on while an earlier factor helps
 _HELD = 3.0  # times its inertia: what holds a vertex that is pressed into the body, elasticity included
 _PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
@@ -130,6 +134,54 @@ class _Planes:
         return bool(new.any())
 
 
+class Curvature:
+    """A Hessian factorised a while ago, and what gradients have told since of how it has changed.
+
+    Its inverse is that of the factor, corrected along the moves since (L-BFGS: Nocedal, Math. Comp. 35, 1980). One
+    that is handed from minimisation to minimisation of the same step length saves most of the factorisations.
+    """
+
+    def __init__(self) -> None:
+        self._factor: Factor | None = None
+        self._told: list[tuple[np.ndarray, np.ndarray, float]] = []
+        self._tired, self._dt, self.reach = False, 0.0, 0
+
+    def begin(self, step: Step | None) -> None:
+        """Be ready for a minimisation; what was known for another step length is forgotten."""
+        dt = 0.0 if step is None else step.dt
+        if step is None or dt != self._dt:
+            self._factor = None
+        self._dt, self._tired, self.reach = dt, False, _HANDED
+
+    def renew(self, factor: Factor) -> None:
+        """Go by another factor."""
+        self._factor, self._told, self._tired, self.reach = factor, [], False, _NEAR
+
+    @property
+    def helps(self) -> bool:
+        """Whether it is known, and took enough of the residual away when last asked."""
+        return self._factor is not None and not self._tired
+
+    def learn(self, before: _Point, after: _Point) -> None:
+        """Take it that the gradient changes from one point to another as it does."""
+        self._tired = not after.residual <= _FALLS * before.residual
+        move, change = (after.x - before.x).numpy(), after.gradient - before.gradient
+        if (product := float((move * change).sum())) > 0:
+            self._told = [*self._told[1 - _MEMORY :], (move, change, product)]
+
+    def solve(self, gradient: np.ndarray) -> np.ndarray:
+        """The move (V, 3) [m] that a gradient (V, 3) [N] asks for."""
+        assert self._factor is not None
+        left, shares = gradient.copy(), []
+        for move, change, product in reversed(self._told):
+            shares.append(float((move * left).sum()) / product)
+            left -= shares[-1] * change
+        found = self._factor.solve(left)
+        for (move, change, product), share in zip(self._told, reversed(shares), strict=True):
+            found += (share - float((change * found).sum()) / product) * move
+        return -found
+
+
 class Newton:
     """Newton's method for the potential of one garment; everything symbolic is prepared once.
 
@@ -174,6 +226,7 @@ class Newton:
         body: Body | None = None,
         damping: float = 0.0,
         least: int = 0,
+        curvature: Curvature | None = None,
     ) -> tuple[Tensor, Report]:
         """The minimiser (V, 3) [m] reached from a guess.
 
@@ -184,24 +237,29 @@ class Newton:
             damping: mass-proportional damping of the first iteration [1/s^2]; fades while steps succeed.
             least: iterations to take whatever the residual. A guess that knows nothing of the forces is within the
                 tolerance wherever vertices are so light that all forces on them are.
+            curvature: what an earlier minimisation left, and this one leaves to the next.
 
         Raises:
             Diverged: the guess or its energy is not finite.
         """
+        curvature = Curvature() if curvature is None else curvature
+        curvature.begin(step)
         planes = _Planes(body, guess, _SETTLING * self.tolerance)
         here = self._evaluate(guess, step, planes.state)
         if not (np.isfinite(here.energy) and np.isfinite(here.gradient).all()):
             raise Diverged(self._why_not(here, step))
-        level, leaps, factor = 0, 0, None
+        level, leaps = 0, 0
         for iteration in range(self.max_iterations):
             if here.residual <= max(planes.due, self.tolerance):
                 here = self._settled(here, step, planes)
-            if here.residual <= self.tolerance and iteration >= least:
-                return here.x, Report(True, iteration, here.residual, "converged")
-            if (there := self._by_last(factor, here, step)) is not None:
-                here = self._followed(there, step, planes)
+            done = here.residual <= self.tolerance and iteration >= least
+            if (there := self._by_earlier(curvature, here, step, done)) is not None:
+                here = there if done else self._followed(there, step, planes)
                 continue
+            if done:
+                return here.x, Report(True, iteration, here.residual, "converged")
             factor, damping, level = self._factor(here, step, damping, level)
+            curvature.renew(factor)
             direction, fraction = _safe(here, -factor.solve(here.gradient))
             if iteration == 0:
                 direction = self._braked(here, direction, step)
@@ -269,12 +327,19 @@ class Newton:
         planes.due = _STATIC_SETTLING * here.residual if step is None else 0.0
         return here
 
-    def _by_last(self, factor: Factor | None, here: _Point, step: Step | None) -> _Point | None:
-        """Where the factor of an iteration before leads from near the minimum; None where it does not help."""
-        if factor is None or here.residual > _NEAR * self.tolerance:
+    def _by_earlier(self, curvature: Curvature, here: _Point, step: Step | None, done: bool) -> _Point | None:
+        """Where an earlier factor leads from near the minimum; None where it does not help, or enough is ``done``."""
+        reach = _STATIC_NEAR if step is None else curvature.reach
+        if not curvature.helps or here.residual > reach * self.tolerance:
             return None
-        there = self._evaluate(here.x - torch.from_numpy(factor.solve(here.gradient)), step, here.body)
-        return there if there.residual <= _FALLS * here.residual else None
+        if done and (step is None or here.residual <= _BEYOND * self.tolerance):
+            return None
+        there = self._evaluate(here.x + torch.from_numpy(curvature.solve(here.gradient)), step, here.body)
+        if step is None:
+            return there if there.residual <= _STATIC_FALLS * here.residual else None
+        curvature.learn(here, there)
+        falls = there.residual < here.residual and there.energy <= here.energy + _rounding(here)
+        return there if falls else None
 
     def _braked(self, here: _Point, direction: np.ndarray, step: Step | None) -> np.ndarray:
         """A direction (V, 3) [m] that leaves no vertex deep in the body, which it may know nothing of yet.
@@ -317,7 +382,7 @@ class Newton:
         an evaluation costs a tenth of an iteration.
         """
         slope = float((here.gradient * direction).sum())
-        rounding = 1e-13 * max(abs(here.energy), 1.0)
+        rounding = _rounding(here)
         move = torch.from_numpy(direction)
         for _ in range(_HALVINGS):
             there = self._evaluate(here.x + fraction * move, step, here.body)
@@ -332,6 +397,11 @@ class Newton:
                 break
             there, fraction = farther, 2 * fraction
         return there, fraction
+
+
+def _rounding(here: _Point) -> float:
+    """What rounding may do to an energy [J]."""
+    return 1e-13 * max(abs(here.energy), 1.0)
 
 
 def _safe(here: _Point, direction: np.ndarray) -> tuple[np.ndarray, float]:

@@ -17,7 +17,7 @@ from caphy.garment.template import write_npz
 from caphy.kept import Kept
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import SDIRK2, Integrator, State
-from caphy.solve.newton import Body, Newton, Report
+from caphy.solve.newton import Body, Curvature, Newton, Report
 
 _GRIPS, _GRIPPED = 4, 1e-5
 """How often friction is told anew of the push that a step ends with, at most, and the change [m] below which it is that
@@ -102,16 +102,16 @@ class Simulator:
     def advance(self, state: State, dt: float, substeps: int = 1) -> tuple[State, tuple[Report, ...]]:
         """The state ``dt`` seconds later, in equal substeps, and the reports of all minimisations."""
         reports: list[Report] = []
-        before = state.time
+        before, curvature = state.time, Curvature()
 
         def solve(step: Step, time: float) -> Tensor:
             nonlocal before
             guess = self._guess(step, before, time)
             motion, before = self.motion, time
             body = None if motion is None else lambda x: motion.state(time, x.numpy(), step.dt, float(step.lead))
-            x, report = self.newton.minimise(guess, step, body, least=1)
+            x, report = self.newton.minimise(guess, step, body, least=1, curvature=curvature)
             if self._rubs and body is not None:
-                x, report = self._gripped(x, report, step, body)
+                x, report = self._gripped(x, report, step, body, curvature)
             reports.append(report)
             return x
 
@@ -119,12 +119,14 @@ class Simulator:
             state = self.integrator.advance(state, dt / substeps, solve)
         return state, tuple(reports)
 
-    def _gripped(self, x: Tensor, report: Report, step: Step, body: Body) -> tuple[Tensor, Report]:
+    def _gripped(
+        self, x: Tensor, report: Report, step: Step, body: Body, curvature: Curvature
+    ) -> tuple[Tensor, Report]:
         """The minimiser whose friction goes by the push that it ends with itself, and all iterations on the way."""
         moved = np.inf
         for _ in range(_GRIPS):
             pressed, so_far, before = x, report.iterations, moved
-            x, report = self.newton.minimise(pressed, replace(step, pressed=pressed), body)
+            x, report = self.newton.minimise(pressed, replace(step, pressed=pressed), body, curvature=curvature)
             report = replace(report, iterations=so_far + report.iterations)
             moved = float((x - pressed).abs().max())
             if moved < _GRIPPED or moved > _SHRINKS * before:

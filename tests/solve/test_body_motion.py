@@ -12,6 +12,7 @@ from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
 from caphy.io.poses import PoseSequence
 from caphy.kept import Kept
+from caphy.measure.mesh_body import MeshBody
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.newton import Newton
 from caphy.solve.preroll import preroll_poses
@@ -82,14 +83,20 @@ def test_between_frames_a_swinging_limb_is_where_it_swings(box_body, mat):
     assert np.abs(transl[:, 0] - 0.1 * np.cos(4 * np.pi * times)).max() < 1e-4
 
 
-def test_only_moved_points_are_looked_for_again(box_body, mat):
+@pytest.mark.parametrize("measured", [False, True])
+def test_only_moved_points_are_looked_for_again(box_body, mat, measured):
     """Answers are those of a fresh body, wherever some of the points have gone and whatever the time was before."""
-    motion = BodyMotion(box_body, sliding(turn=0.3), mat)
+
+    def fresh():
+        motion = BodyMotion(box_body, sliding(turn=0.3), mat)
+        return MeshBody(motion.vertices(motion.times), box_body.faces, motion.fps) if measured else motion
+
+    motion = fresh()
     rng = np.random.default_rng(6)
-    x = motion.anchors(np.array([0.0]))[0] + 0.1 * rng.normal(size=mat.vertices.shape)
+    x = mat.vertices + 0.1 * rng.normal(size=mat.vertices.shape)
     for time, share in ((0.0, 1.0), (0.0, 0.3), (0.0, 0.0), (0.1, 0.0), (0.1, 0.5)):
         x = x + 0.3 * rng.normal(size=x.shape) * (rng.random(len(x)) < share)[:, None]
-        found, expected = motion.nearest(time, x), BodyMotion(box_body, sliding(turn=0.3), mat).nearest(time, x)
+        found, expected = motion.nearest(time, x), fresh().nearest(time, x)
         for name in ("point", "normal", "distance"):  # on an edge either face will do
             np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-9)
 

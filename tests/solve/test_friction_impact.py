@@ -47,7 +47,7 @@ class HandedToAndFro:
     def __init__(self, potential, jumps):
         self.potential, self.jumps, self.asked = potential, list(jumps), 0
 
-    def minimise(self, guess, step, body, least=0):
+    def minimise(self, guess, step, body, least=0, curvature=None):
         self.asked += 1
         return guess + self.jumps[self.asked - 1], Report(True, 1, 0.0, "converged")
 

@@ -1,5 +1,7 @@
 """What a minimisation promises, from guesses that test it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import torch
 from scipy.optimize import brentq
@@ -12,7 +14,8 @@ from caphy.effects.potential import Potential
 from caphy.effects.trial import irregular_cloth, moment
 from caphy.io.poses import PoseSequence
 from caphy.solve.body_motion import BodyMotion
-from caphy.solve.newton import Newton
+from caphy.solve.integrators import SDIRK2, State
+from caphy.solve.newton import Curvature, Newton
 
 ACTING = {name: {} for name in ("strain_stvk", "bending", "gravity", "inertia")}
 
@@ -146,3 +149,56 @@ def test_the_last_factor_ends_what_is_nearly_done(sheet, monkeypatch):
     assert len(factors) < report.iterations
     exact, _ = newton.within(1e-9).minimise(found, step)
     assert float((found - exact).abs().max()) < 1e-5
+
+
+def test_a_factor_is_handed_from_step_to_step(sheet, monkeypatch):
+    """Fewer matrices than minimisations where steps are short, and the same motion; not to another step length."""
+    cloth = sheet(0.4, 0.4, 9, 9)
+    newton = Newton(Potential(Model(0.2, ACTING), cloth))
+    x = torch.from_numpy(cloth.vertices)
+    shaken = torch.from_numpy(0.3 * np.sin(9 * cloth.vertices[:, [1, 2, 0]]) + [0, 1.0, 0.5])
+    factors = []
+    factorize = newton.hessian.factorize
+    monkeypatch.setattr(newton.hessian, "factorize", lambda *given: factors.append(1) or factorize(*given))
+
+    def solved(step, curvature):
+        return newton.minimise(step.target, step, least=1, curvature=curvature)[0]
+
+    def rolled(curvature):
+        factors.clear()
+        state = State(0.0, x, shaken)
+        for _ in range(6):
+            state = SDIRK2().advance(state, 0.002, lambda step, _: solved(step, curvature))
+        return state.x, len(factors)
+
+    (alone, many), (handed, few) = rolled(None), rolled(Curvature())
+    assert many >= 12 and few <= 6
+    assert float((alone - handed).abs().max()) < 1e-5
+    assert float((alone - x).abs().max()) > 1e-2
+    curvature = Curvature()
+    curvature.begin(Step.implicit_euler(0.002, x, x))
+    curvature.renew(newton.factorize(x, Step.implicit_euler(0.002, x, x)))
+    assert curvature.helps
+    curvature.begin(Step.implicit_euler(0.001, x, x))
+    assert not curvature.helps
+
+
+def test_an_earlier_factor_is_corrected_along_the_moves_since(sheet):
+    """The last change of a gradient asks for just the move that made it; before, it asked for another."""
+    cloth = sheet(0.4, 0.4, 5, 5)
+    newton = Newton(Potential(Model(0.2, ACTING), cloth))
+    x, random = torch.from_numpy(cloth.vertices), np.random.default_rng(3)
+    step = Step.implicit_euler(0.01, x, x)
+    curvature = Curvature()
+    curvature.begin(step)
+    curvature.renew(newton.factorize(x, step))
+    other = newton.hessian.matrix(newton.hessian.values(x, Step.implicit_euler(0.007, x, x)))
+    for _ in range(3):
+        move = random.normal(size=x.shape)
+        change = (other @ move.ravel()).reshape(move.shape)
+        assert np.abs(curvature.solve(change) + move).max() > 0.1
+        curvature.learn(
+            SimpleNamespace(x=x, gradient=np.zeros_like(move), residual=1.0),
+            SimpleNamespace(x=x + torch.from_numpy(move), gradient=change, residual=0.1),
+        )
+        np.testing.assert_allclose(curvature.solve(change), -move, atol=1e-9)
