@@ -24,6 +24,7 @@ from caphy.fabric.certainty import Certainty
 from caphy.fabric.coefficients import Coefficients
 from caphy.fabric.rounds import Fitted, Objective, fit_fabric, ratios
 from caphy.garment.subdivision import Subdivision
+from caphy.garment.template import Garment
 from caphy.material.fabrics import fabric
 
 
@@ -76,7 +77,10 @@ def main(options: Options) -> None:
         plots = figures({"start": start, "found": fitted.model, "true": planted})
         options.page.write_text(page({"panel": plots}, {"panel": []}), encoding="utf-8")
     if options.sweep:
-        _print_sweep(options, stills, planted, start)
+        print(f"found over true, {options.sweep} scans, from {options.start}, the mesh's error left in:")
+        _print_sweep(options, stills, coarse, planted, start)
+        print(f"the same from {options.planted} itself, on the truth's own mesh:")
+        _print_sweep(options, stills, stills.truth, planted, planted)
 
 
 def _print_recovery(options: Options, stills: Stills, planted: Model, start: Model) -> Fitted:
@@ -103,11 +107,10 @@ def _print_recovery(options: Options, stills: Stills, planted: Model, start: Mod
     return fitted
 
 
-def _print_sweep(options: Options, stills: Stills, planted: Model, start: Model) -> None:
-    print(f"found over true, {options.sweep} scans, from {options.start}, the mesh's error left in:")
+def _print_sweep(options: Options, stills: Stills, garment: Garment, planted: Model, start: Model) -> None:
     print("  noise [mm]   response: stretching bending   force (E_param): stretching bending")
     for noise in (0.0, 0.001, 0.002):
-        scans = stills.scans(panel(options.coarse), noise)[: options.sweep]
+        scans = stills.scans(garment, noise)[: options.sweep]
         cells = []
         objectives: tuple[Objective, ...] = ("response", "force")
         for objective in objectives:
