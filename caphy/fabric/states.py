@@ -29,7 +29,7 @@ SEEK: tuple[Stage, ...] = ((0.06, 5000.0), (0.04, 5000.0), (0.03, 2000.0))
 """From a guess that does not know the scan into the folds that were scanned, hard at first."""
 STRONG: Stage = (0.02, 500.0)
 """Then, and where a guess lies already, it is drawn to the scan before it is let go. Its forces must balance: what is
-left of them would be taken for the fabric's by CaPhy's squared gradient, by which bending rose 2.5 times without noise."""
+left of them CaPhy's squared gradient takes for the fabric's, and would bend it 2.5 times as hard without any noise."""
 LET_GO: tuple[Stage, ...] = ((0.02, 100.0), (0.02, WEAK), (0.02, WEAK))
 RESTED = 5e-3
 """Force on the worst vertex [N] up to which cloth counts as at rest: a few vertices' weight."""
