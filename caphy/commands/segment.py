@@ -157,7 +157,7 @@ def _some(scans: ScanSet) -> list[Scan]:
     for index in np.unique(np.linspace(0, len(scans) - 1, LEARNED_FROM).round().astype(int)):
         try:
             scan = scans[int(index)]
-            if scan.colours is not None:
+            if scan.colours is not None and np.ptp(scan.colours, axis=0).any():
                 found.append(scan)
         except CaphyError as error:
             problem = error

@@ -199,12 +199,14 @@ def _labels(scan: Scan) -> Finding | None:
 
 
 def _colours(scan: Scan) -> Finding | None:
-    if scan.colours is not None:
+    if scan.colours is not None and np.ptp(scan.colours, axis=0).any():
         return None
+    colours = "no colours" if scan.colours is None else "one colour all over"
     return _remark(
         scan,
-        "has no colours; segmentation will need labels, or a human parser that does without colour (an OBJ has them in "
-        "the .mtl that it names and its pictures: copy them beside it)",
+        f"has {colours}; segmentation will need labels, or a human parser that does without colour (an OBJ has them in "
+        "the .mtl that it names and its pictures, a PLY in the picture that its TextureFile names: copy them beside "
+        "it)",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -10,8 +11,11 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.places import write_bytes
+from caphy.scan.glb_bytes import ordered_glb
+from caphy.scan.obj_lines import read_obj_lines
 
 SUFFIXES: Final = (".ply", ".obj", ".glb")
+_RGB = ("red", "green", "blue")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,20 +43,17 @@ def read_mesh_file(path: Path) -> MeshFile:
         raise CaphyError(f"{path}: scans end in {', '.join(SUFFIXES)}; got {path.suffix or 'no suffix'}")
     if not path.is_file():
         raise CaphyError(f"{path}: there is no such file")
-    mesh = _load(path)
-    vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
-    faces = np.array(mesh.faces, dtype=np.int32).reshape(-1, 3)
-    if not len(faces):
-        raise CaphyError(f"{path}: a scan must be a triangle mesh, this is a cloud of {len(vertices)} points; mesh it")
-    colours, label = _colours(mesh, path), _ply_label(mesh)
-    if path.suffix.lower() == ".obj":
-        wanted, painted = _obj_vertices(path)
-        # A reader without the material makes a grey of its own
-        vertices, faces, colours = _in_order(wanted, vertices, faces, colours if painted else None)
-    elif path.suffix.lower() == ".glb":
-        first = np.sort(np.unique(vertices, axis=0, return_index=True)[1])  # the file's order, which labels refer to
-        vertices, faces, colours = _in_order(vertices[first], vertices, faces, colours)
-    return MeshFile(vertices, faces, colours, label)
+    try:
+        found = _READERS[path.suffix.lower()](path)
+    except CaphyError:
+        raise
+    except Exception as error:  # readers of damaged files can fail anywhere
+        raise CaphyError(f"{path}: cannot be read as a mesh: {type(error).__name__}: {error}") from error
+    if not len(found.faces):
+        raise CaphyError(
+            f"{path}: a scan must be a triangle mesh, this is a cloud of {len(found.vertices)} points; mesh it"
+        )
+    return found
 
 
 def write_ply(path: Path, mesh: MeshFile) -> None:
@@ -67,18 +68,75 @@ def write_ply(path: Path, mesh: MeshFile) -> None:
     write_bytes(path, made.export(file_type="ply"))
 
 
-def _load(path: Path) -> Any:
+def _read_ply(path: Path) -> MeshFile:
+    pictured = _has_texture(path)
+    mesh = _loaded(path, skip_materials=not pictured)
+    vertices, faces, colours = _parts(mesh, path)
+    raw = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    names = () if raw is None else tuple(raw) if isinstance(raw, dict) else raw.dtype.names  # a dict in ASCII
+    told = {name: np.asarray(raw[name]).reshape(-1) for name in names}
+    if told.keys() >= set("xyz") and len(told["x"]) != len(vertices):  # split along the seams of a texture
+        wanted = np.stack([told[axis] for axis in "xyz"], axis=1).astype(np.float64)
+        vertices, faces, colours = _in_order(wanted, vertices, faces, colours)
+    if mesh.visual is not None and mesh.visual.kind == "texture" and not pictured:
+        colours = None  # a grey of the reader's own
+    if told.keys() >= set(_RGB) and (colours is None or told["red"].dtype == np.uint16):
+        own = np.stack([told[name] for name in _RGB], axis=1)
+        colours = (own >> 8 if own.dtype == np.uint16 else own if own.max() > 1 else 255 * own).astype(np.uint8)
+    return MeshFile(vertices, faces, colours, told["label"].astype(np.int64) if "label" in told else None)
+
+
+def _has_texture(path: Path) -> bool:
+    """Whether a PLY names a picture that lies beside it."""
+    with path.open("rb") as file:
+        for line in file:
+            text = line.decode("utf-8", errors="replace").strip()
+            place = text.lower().find("texturefile")
+            if place >= 0:
+                return (path.parent / text[place + 11 :].strip()).is_file()
+            if text == "end_header":
+                break
+    return False
+
+
+def _read_obj(path: Path) -> MeshFile:
+    """Vertices in the order of the ``v`` lines, which labels refer to; a texture comes before their own colours."""
+    from trimesh.resolvers import FilePathResolver
+
+    lines = read_obj_lines(path)
+    colours = None
+    if lines.painted:  # a reader without the material makes a grey of its own
+        text = io.BytesIO(lines.plain.encode())
+        mesh = _loaded(text, file_type="obj", resolver=FilePathResolver(str(path)))
+        colours = _in_order(lines.vertices, *_parts(mesh, path))[2]
+    vertices, faces, _ = _in_order(lines.vertices, lines.vertices, lines.faces, None)
+    return MeshFile(vertices, faces, lines.colours if colours is None else colours, None)
+
+
+def _read_glb(path: Path) -> MeshFile:
+    mesh = _loaded(io.BytesIO(ordered_glb(path.read_bytes())), file_type="glb")
+    vertices, faces, colours = _parts(mesh, path)
+    first = np.sort(np.unique(vertices, axis=0, return_index=True)[1])  # the file's order, which labels refer to
+    return MeshFile(*_in_order(vertices[first], vertices, faces, colours), None)
+
+
+_READERS: Final = {".ply": _read_ply, ".obj": _read_obj, ".glb": _read_glb}
+
+
+def _loaded(source: Path | io.BytesIO, **how: Any) -> Any:
     import trimesh
 
-    try:
-        loaded: Any = trimesh.load(path, process=False, maintain_order=True)
-        if isinstance(loaded, trimesh.Scene):
-            loaded = loaded.to_mesh()
-        if not hasattr(loaded, "faces"):
-            loaded = trimesh.Trimesh(loaded.vertices, np.zeros((0, 3), np.int64), process=False)
-    except Exception as error:  # readers of damaged files can fail anywhere
-        raise CaphyError(f"{path}: cannot be read as a mesh: {type(error).__name__}: {error}") from error
+    loaded: Any = trimesh.load(source, process=False, maintain_order=True, **how)
+    if isinstance(loaded, trimesh.Scene):
+        loaded = loaded.to_mesh()
+    if not hasattr(loaded, "faces"):
+        loaded = trimesh.Trimesh(loaded.vertices, np.zeros((0, 3), np.int64), process=False)
     return loaded
+
+
+def _parts(mesh: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+    return vertices, np.array(mesh.faces, dtype=np.int32).reshape(-1, 3), _colours(mesh, path)
 
 
 def _colours(mesh: Any, path: Path) -> np.ndarray | None:
@@ -105,29 +163,6 @@ def _colours(mesh: Any, path: Path) -> np.ndarray | None:
 
 def _has_base_image(visual: Any) -> bool:
     return getattr(visual.material, "baseColorTexture", None) is not None
-
-
-def _ply_label(mesh: Any) -> np.ndarray | None:
-    data = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
-    names = data if isinstance(data, dict) else getattr(getattr(data, "dtype", None), "names", None)  # a dict in ASCII
-    if data is None or not names or "label" not in names:
-        return None
-    return np.asarray(data["label"]).reshape(-1).astype(np.int64)
-
-
-def _obj_vertices(path: Path) -> tuple[np.ndarray, bool]:
-    """Positions (V, 3) in the order of the file's ``v`` lines, which labels refer to, and whether colours are there.
-
-    They are missing where the file names a material (``mtllib``) that does not lie beside it, unless its vertices have
-    colours of their own.
-    """
-    lines = [line.split(maxsplit=7) for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
-    vertices = [line for line in lines if line[:1] == ["v"]]
-    # A line names one file, whose name may have spaces, or several
-    materials = [(" ".join(line[1:]), *line[1:]) for line in lines if line[:1] == ["mtllib"]]
-    there = all(any((path.parent / name).is_file() for name in names) for names in materials)
-    painted = there or any(len(line) > 6 for line in vertices[:1])
-    return np.array([line[1:4] for line in vertices], dtype=np.float64).reshape(-1, 3), painted
 
 
 def _in_order(

@@ -89,6 +89,7 @@ FAULTS = {
     "no clothes": (lambda: _scan(labels=np.zeros(len(_person()[0]), np.uint8)), True, "shows no clothes"),
     "no trousers": (lambda: _scan(labels=np.where(_person()[3] == LOWER, 0, _person()[3])), False, "shows no lower"),
     "no colours": (lambda: _scan(colours=None), False, "has no colours"),
+    "one colour": (lambda: _scan(colours=np.full_like(_person()[2], 100)), False, "has one colour all"),
 }
 
 

@@ -43,6 +43,18 @@ def test_segment_leaves_out_what_it_cannot_read_and_resumes(scans, tmp_path, cap
     assert (scans / "labels" / "scan_000.npy").stat().st_mtime_ns == stamp
 
 
+def test_a_grey_scan_costs_only_itself(scans, capsys):
+    """Its texture may have been lost; the others' colours are learned without it."""
+    shutil.copy(small_session() / "scans" / "scan_001.ply", scans)
+    grey = ScanSet.read(scans)[0]
+    colours = np.full_like(grey.colours, 100)
+    write_ply(scans / "scan_000.ply", MeshFile(grey.vertices, grey.faces, colours, None))
+    assert main(["segment", str(scans)]) == 1
+    said = capsys.readouterr().out
+    assert "left out scan_000" in said and "all vertices have one colour" in said
+    assert "labels of 2 of 3 scans" in said
+
+
 def test_neither_segments_nor_registers_what_is_in_another_unit(scans, tmp_path, capsys):
     (scans / "scan_001.ply").unlink()
     (scans / "scans.toml").write_text('unit = "cm"\nup_axis = "y"\n')
