@@ -118,6 +118,7 @@ def test_one_command_dresses_a_video(
     assert rows.max() < pixels[:, 1].max() + 10
     written = read_poses(poses)
     assert len(written) == COUNT
+    assert not list(tmp_path.glob(".*"))
     difference = np.linalg.norm(written.poses[5:, :22] - motion.poses[5:COUNT, :22], axis=-1)
     assert np.degrees(np.median(difference)) < 12
 
@@ -136,6 +137,19 @@ def test_nobody_is_said_and_the_video_is_kept(
     assert _main(monkeypatch, detector, str(video), "-o", str(out), "--service", service) == 1
     assert f"nobody was found in {COUNT} pictures" in capsys.readouterr().err
     assert len(_pictures(out)) == COUNT
+
+
+@pytest.mark.parametrize("option", ["--out", "--poses", "--record"])
+def test_what_cannot_be_written_is_said_before_the_video_is_read(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, video: Path, option: str
+) -> None:
+    """Not after an hour; and the video itself is not written over while it is read."""
+    before = video.read_bytes()
+    for place, words in ((str(video), "is read, and would be" if option == "--out" else "must end in"),
+                         (str(tmp_path / "dance"), "must end in")):  # fmt: skip
+        assert _main(monkeypatch, None, str(video), option, place, "--service", "http://127.0.0.1:9") == 1
+        assert words in capsys.readouterr().err
+    assert video.read_bytes() == before
 
 
 def test_a_service_that_is_not_there_is_said(

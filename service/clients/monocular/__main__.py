@@ -14,7 +14,9 @@ import numpy as np
 import caphy
 from caphy.conditioning import Conditioning
 from caphy.errors import CaphyError
+from caphy.garment.template import write_npz
 from caphy.io.bundle import AvatarBundle, read_bundle
+from caphy.io.places import writable_file
 from caphy.io.poses import PoseSequence, write_poses
 from service.client import Client
 from service.clients.feed import FeedClient
@@ -60,6 +62,9 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def _run(options: argparse.Namespace) -> int:
+    for place, suffix in ((options.out, ".mp4"), (options.poses, ".npz"), (options.record, ".npz")):
+        if place is not None:  # a video takes long, and must not be written over while it is read
+            writable_file(place, suffix, inputs=[options.video])
     video = Video(options.video)
     bundle = read_bundle(options.bundle)
     avatar = _served(options.service, bundle, options.key)
@@ -72,14 +77,16 @@ def _run(options: argparse.Namespace) -> int:
     estimator = Estimator(bundle.joints, detector, focal, video.size)
     settings = Conditioning(fps=bundle.fps, latency=options.latency)
     wardrobe = _wardrobe(options, avatar, bundle)
-    writer, show = _writer(options.out, video)
+    partial = None if options.out is None else options.out.with_name(f".{options.out.stem}.partial.mp4")
+    writer, show = _writer(partial, video)
     overlay = Overlay(bundle, focal, video.size) if options.out else None
     dressing = Dressing(wardrobe, settings)
     try:
         record = run(video, estimator, dressing, overlay, show, counter, options.seconds)
     finally:
-        if writer is not None:
+        if writer is not None and partial is not None:
             writer.release()
+            partial.replace(options.out)
         wardrobe.close()
         detector.close()
         counter.close()
@@ -115,7 +122,7 @@ def _writer(out: Path | None, video: Video) -> tuple[Any, Callable[[np.ndarray, 
     out.parent.mkdir(parents=True, exist_ok=True)
     writer = cv2.VideoWriter(str(out), cv2.VideoWriter.fourcc(*"mp4v"), video.fps, video.size)
     if not writer.isOpened():
-        raise CaphyError(f"{out}: opencv cannot write this; a name that ends in .mp4, in a folder that can be written")
+        raise CaphyError(f"{out}: opencv cannot write this; is its folder full, or does its name have odd characters?")
     written = 0
 
     def show(pixels: np.ndarray, time: float) -> None:
@@ -145,7 +152,10 @@ def _finish(
             f"{video.source}: nobody was found in {counts['pictures']} pictures; the person must be seen from head to "
             "feet, and be at least a quarter of the picture's height"
         )
-    frames = [dressed.frame for dressed in record.frames]
+    did = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in dressing.conditioner.summary.frames.items())
+    frames = record.frames
+    if not frames:
+        raise CaphyError(f"{video.source}: none of its poses could be used{f' ({did})' if did else ''}")
     if options.poses:
         poses, transl = np.stack([f.poses for f in frames]), np.stack([f.transl for f in frames])
         write_poses(
@@ -153,7 +163,6 @@ def _finish(
         )
     if options.record:
         _write_record(options.record, record)
-    did = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in dressing.conditioner.summary.frames.items())
     print(
         f"{counts['pictures']} pictures, {len(frames)} frames dressed over {how}"
         f"{f' ({did})' if did else ''}; {counts['pictures'] / record.seconds:.1f} pictures a second "
@@ -187,25 +196,25 @@ def _notes(video: Video, estimator: Estimator, record: Record) -> list[str]:
 
 def _write_record(path: Path, record: Record) -> None:
     """Times, landmarks and poses (NaN where nobody was seen), the camera's turns, and frames, as plain arrays."""
-    estimates, frames = record.estimates, [dressed.frame for dressed in record.frames]
+    estimates, frames = record.estimates, record.frames
     nobody = np.full((55, 3), np.nan)
     nothing = Landmarks(np.full((33, 2), np.nan), np.full((33, 3), np.nan), np.zeros(33))
-    np.savez(
-        path,
-        time=np.array([e.time for e in estimates]),
-        poses=np.stack([nobody if e.poses is None else e.poses for e in estimates]),
-        transl=np.stack([nobody[0] if e.transl is None else e.transl for e in estimates]),
-        pixels=np.stack([(seen or nothing).pixels for seen in record.seen]),
-        world=np.stack([(seen or nothing).world for seen in record.seen]),
-        visibility=np.stack([(seen or nothing).visibility for seen in record.seen]),
-        turn=np.stack([e.turn for e in estimates]),
-        origin=np.stack([e.origin for e in estimates]),
-        frame_time=np.array([f.time for f in frames]),
-        frame_poses=np.stack([f.poses for f in frames]),
-        frame_transl=np.stack([f.transl for f in frames]),
-        seconds=record.seconds,
-        processor=record.processor,
-    )
+    told = {
+        "time": np.array([e.time for e in estimates]),
+        "poses": np.stack([nobody if e.poses is None else e.poses for e in estimates]),
+        "transl": np.stack([nobody[0] if e.transl is None else e.transl for e in estimates]),
+        "pixels": np.stack([(seen or nothing).pixels for seen in record.seen]),
+        "world": np.stack([(seen or nothing).world for seen in record.seen]),
+        "visibility": np.stack([(seen or nothing).visibility for seen in record.seen]),
+        "turn": np.stack([e.turn for e in estimates]),
+        "origin": np.stack([e.origin for e in estimates]),
+        "frame_time": np.array([f.time for f in frames]),
+        "frame_poses": np.stack([f.poses for f in frames]),
+        "frame_transl": np.stack([f.transl for f in frames]),
+        "seconds": np.array(record.seconds),
+        "processor": np.array(record.processor),
+    }
+    write_npz(path, told, compressed=False)
 
 
 if __name__ == "__main__":

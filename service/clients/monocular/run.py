@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from caphy.conditioning import Frame
 from service.clients.monocular.dressing import Dressed, Dressing
 from service.clients.monocular.estimator import Estimate, Estimator
 from service.clients.monocular.landmarks import Landmarks
@@ -22,18 +23,21 @@ _COUNT_EVERY = 15
 """Pictures between two counts of the people."""
 _UNSEEN = 0.5
 """Clothes of somebody unseen for longer are not drawn [s]."""
+_RECENT = 60
+"""Dressed frames that are kept for the pictures that wait."""
 
 
 @dataclass
 class Record:
     """What came of a video.
 
-    estimates: as the pictures gave them. seen: what the detector saw. frames: conditioned, at the avatar's rate.
+    estimates: as the pictures gave them. seen: what the detector saw. frames: conditioned, at the avatar's rate; their
+    garments are gone, which would be 6 GB an hour.
     """
 
     estimates: list[Estimate] = field(default_factory=list)
     seen: list[Landmarks | None] = field(default_factory=list)
-    frames: list[Dressed] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
     people: list[int] = field(default_factory=list)
     """How many were counted, now and then."""
     seconds: float = 0.0
@@ -60,7 +64,7 @@ def run(
     A picture is shown when the frame of its own time is complete, so clothes and body fit together; that is the
     conditioning's latency later. Detection runs in a thread of its own, beside everything else.
     """
-    record, waiting = Record(), deque[tuple[Picture, bool]]()
+    record, waiting, recent = Record(), deque[tuple[Picture, bool]](), deque[Dressed](maxlen=_RECENT)
     started, processor = time.perf_counter(), time.process_time()
     last_seen = -np.inf
     for picture, seen, is_cut in _detected(video, estimator, seconds):
@@ -71,10 +75,14 @@ def run(
         record.seen.append(seen)
         last_seen = picture.time if estimate.poses is not None else last_seen
         waiting.append((picture, picture.time - last_seen < _UNSEEN))
-        record.frames += dressing.push(estimate)
-        _show(waiting, record.frames, overlay, show, is_last=False)
-    record.frames += dressing.flush()
-    _show(waiting, record.frames, overlay, show, is_last=True)
+        fresh = dressing.push(estimate)
+        record.frames += [dressed.frame for dressed in fresh]
+        recent += fresh
+        _show(waiting, recent, overlay, show, is_last=False)
+    fresh = dressing.flush()
+    record.frames += [dressed.frame for dressed in fresh]
+    recent += fresh
+    _show(waiting, recent, overlay, show, is_last=True)
     record.seconds, record.processor = time.perf_counter() - started, time.process_time() - processor
     return record
 
@@ -99,12 +107,12 @@ def _result(ahead: deque) -> tuple[Picture, Landmarks | None, bool]:
 
 
 def _show(
-    waiting: deque[tuple[Picture, bool]], frames: list[Dressed], overlay: Overlay | None, show: Shown, is_last: bool
+    waiting: deque[tuple[Picture, bool]], recent: deque[Dressed], overlay: Overlay | None, show: Shown, is_last: bool
 ) -> None:
     """Show the pictures whose time the frames have reached."""
-    while waiting and (is_last or (frames and waiting[0][0].time <= frames[-1].frame.time) or _is_unknown(waiting)):
+    while waiting and (is_last or (recent and waiting[0][0].time <= recent[-1].frame.time) or _is_unknown(waiting)):
         picture, is_seen = waiting.popleft()
-        dressed = _nearest(frames, picture.time) if is_seen else None
+        dressed = _nearest(recent, picture.time) if is_seen else None
         if dressed is None or overlay is None:
             show(picture.pixels, picture.time)
         else:
@@ -118,8 +126,7 @@ def _is_unknown(waiting: deque[tuple[Picture, bool]]) -> bool:
     return not waiting[0][1] and waiting[-1][0].time - waiting[0][0].time > 0.2
 
 
-def _nearest(frames: list[Dressed], moment: float) -> Dressed | None:
+def _nearest(recent: deque[Dressed], moment: float) -> Dressed | None:
     """The frame nearest to a moment; none before the first."""
-    recent = frames[-60:]
     best = min(recent, key=lambda dressed: abs(dressed.frame.time - moment), default=None)
     return best if best is not None and abs(best.frame.time - moment) < 0.2 else None
