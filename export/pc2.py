@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from caphy.errors import CaphyError
 from caphy.io.places import write_bytes
 from export.motion import DressedMotion
 from export.obj import obj_bytes
@@ -26,7 +27,13 @@ def pc2_bytes(vertices: np.ndarray) -> bytes:
 
 
 def write_pc2(motion: DressedMotion, folder: Path) -> list[Path]:
-    """Per mesh ``NAME.obj``, its first frame, and ``NAME.pc2``, the cache to put on it; returns them."""
+    """Per mesh ``NAME.obj``, its first frame, and ``NAME.pc2``, the cache to put on it; returns them.
+
+    Raises :class:`CaphyError` where it would replace a ``NAME.obj`` that has no cache.
+    """
+    for name, *_ in motion.meshes():
+        if (folder / f"{name}.obj").exists() and not (folder / f"{name}.pc2").exists():
+            raise CaphyError(f"{folder / name}.obj: has no point cache, and would be replaced; give another folder")
     written = []
     for name, mesh, vertices in motion.meshes():
         written += [folder / f"{name}.obj", folder / f"{name}.pc2"]

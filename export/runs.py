@@ -17,12 +17,12 @@ from caphy.garment.template import Garment
 from caphy.io.poses.parts import file_of
 from caphy.network.files import load_network
 from caphy.network.garment_network import GarmentNetwork
+from caphy.training.loop import METRICS, read_metrics
 
 NETWORK = "network.safetensors"
 GARMENT = "garment.npz"
 SETTINGS = "run.json"
 MODEL = "model.json"
-METRICS = "metrics.jsonl"
 VALIDATION = "validation.json"
 
 
@@ -75,9 +75,8 @@ def _json(path: Path) -> dict[str, Any]:
 def _measured(folder: Path, digest: str, say: Callable[[str], None]) -> dict[str, Any]:
     """The trainer's last validation, and what ``caphy validate`` found beside the solver of the network of a digest."""
     path = folder / METRICS
-    lines = path.read_text().splitlines() if path.is_file() else []
-    validations = [line for line in lines if '"validation"' in line]
-    last = json.loads(validations[-1])["validation"] if validations else {}
+    validations = [entry["validation"] for entry in read_metrics(path) if "validation" in entry]
+    last = validations[-1] if validations else {}
     wrong = [key for key, value in _numbers(last) if not math.isfinite(value)]
     if wrong:
         raise CaphyError(

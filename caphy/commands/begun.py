@@ -53,6 +53,13 @@ def exporting(name: str, *runs: Path) -> str:
     return following("export", *runs, *own, "-o", f"avatars/{name}")
 
 
+def interrupted(folder: Path) -> str:
+    """What is left of a training that was stopped by hand, in words."""
+    if (folder / "checkpoint.safetensors").exists():
+        return "interrupted; go on from the last checkpoint with --resume"
+    return "interrupted before the first checkpoint; nothing was kept, so begin again"
+
+
 def told(options: Train) -> dict[str, Any]:
     """Options ready for JSON. Where the folder lies in the run that ``--scans`` names, paths within that run are
     relative to the folder, so that the run may be moved."""

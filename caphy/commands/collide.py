@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied, exporting
+from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied, exporting, interrupted
 from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
@@ -50,7 +50,7 @@ def main(arguments: list[str]) -> int | None:
     try:
         collider.run()
     except KeyboardInterrupt:
-        print("interrupted; go on with --resume")
+        print(interrupted(options.output))
         return 130
     made = [options.output / name for name in collider.names]
     print(f"wrote {', '.join(map(str, made))}\nnext: {exporting(options.output.name, *made)}")

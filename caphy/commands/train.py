@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from caphy.commands.begun import OPTIONS, exporting, option, require_same, write_record
+from caphy.commands.begun import OPTIONS, exporting, interrupted, option, require_same, write_record
 from caphy.commands.bundled import bundled
 from caphy.commands.seed import require_seed
 from caphy.commands.training_options import require_device, require_positive
@@ -124,7 +124,7 @@ def _run(options: Train) -> int:
     try:
         trainer.run()
     except KeyboardInterrupt:
-        trainer.say("interrupted; go on with --resume")
+        trainer.say(interrupted(options.output))
         return 130
     if trainer.rank == 0:
         print(f"wrote {options.output}: network, checkpoint, metrics.jsonl")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import re
 import shutil
 import tempfile
@@ -147,8 +148,8 @@ def write_bundle(bundle: AvatarBundle, folder: str | Path) -> None:
 
     Raises CaphyError where the bundle's arrays do not fit together, or ``folder`` holds something else.
     """
-    folder = Path(folder)
-    require_place(folder)
+    require_place(Path(folder))
+    folder = Path(os.path.realpath(folder))  # a link stays one
     require_consistent(bundle, str(folder))
     files = {ARRAYS: _arrays_bytes(bundle), **{f"{g.name}.onnx": g.onnx for g in bundle.garments}}
     files[MANIFEST] = json.dumps(_manifest(bundle, files), indent=1, allow_nan=False).encode()
@@ -164,7 +165,9 @@ def write_bundle(bundle: AvatarBundle, folder: str | Path) -> None:
 
 
 def require_place(folder: Path) -> None:
-    """Raise :class:`CaphyError` where a bundle would overwrite something else."""
+    """Raise :class:`CaphyError` where a bundle would overwrite something else, or the current folder."""
+    if folder.exists() and folder.samefile("."):
+        raise CaphyError(f"{folder}: is the current folder, which cannot be replaced; name one in it")
     if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
         raise CaphyError(f"{folder}: exists and is no avatar bundle; choose another place or remove it")
 

@@ -43,6 +43,9 @@ def convert_take(
         except CaphyError as error:
             say(str(error))
             del scans[len(frames) :]
+    strays = {path.stem for path in folder.glob("*.ply")} - {scan.name for scan in scans}
+    if strays:
+        raise CaphyError(f"{folder}: holds other scans ({', '.join(sorted(strays)[:3])}); give an empty folder")
     if not scans:
         raise CaphyError(f"{take}: none of its {len(meshes)} frames can be read; see the messages above")
     return write_scan_set(folder, scans, take.name, _poses(take, frames))

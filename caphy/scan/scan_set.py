@@ -188,7 +188,7 @@ def write_scan_set(
     if poses is not None:
         write_poses(poses, folder / "poses.npz")
         lines["poses"] = "poses.npz"
-    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in lines.items())
+    text = "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in lines.items())
     write_text(folder / DESCRIPTION, text)
     return ScanSet.read(folder)
 

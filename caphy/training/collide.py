@@ -129,6 +129,7 @@ class Collider:
         """Fine-tune to the end, saving after every epoch; then validate, and count collisions before and after."""
         assert self.schedule.steps is not None
         if self.done == 0:
+            forget_later(self.folder / METRICS, 0)  # of a fine-tuning that ended before its first checkpoint
             self.before = self.collisions()
         while self.done < self.schedule.steps:
             started, losses, contacts = time.monotonic(), [], []

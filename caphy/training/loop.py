@@ -6,8 +6,10 @@ import json
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 import torch.distributed as dist
@@ -187,6 +189,8 @@ class Trainer:
 
     def run(self, checkpoint_seconds: float = 120.0) -> None:
         """Train until the schedule is done, from wherever :attr:`progress` stands."""
+        if self.rank == 0 and self.progress.step == 0:
+            forget_later(self.folder / METRICS, 0)  # of a training that ended before its first checkpoint
         last = saved = time.monotonic()
         logged, first_step, first_seconds = last, self.progress.step, self.progress.seconds
         while (done := self._share_done()) < 1:
@@ -285,6 +289,14 @@ class Trainer:
 def forget_later(path: Path, step: int) -> None:
     """Drop the lines of metrics written after a checkpoint of ``step``: they will be written again."""
     if path.exists():
-        lines = [line for line in path.read_text().splitlines() if line.endswith("}")]
-        kept = [line for line in lines if json.loads(line)["step"] <= step]
-        write_text(path, "".join(f"{line}\n" for line in kept))
+        kept = [entry for entry in read_metrics(path) if entry["step"] <= step]
+        write_text(path, "".join(f"{json.dumps(entry)}\n" for entry in kept))
+
+
+def read_metrics(path: Path) -> list[dict[str, Any]]:
+    """The lines of metrics, oldest first; one that was cut when the training was killed is no line."""
+    whole = []
+    for line in path.read_text().splitlines() if path.is_file() else ():
+        with suppress(json.JSONDecodeError):
+            whole.append(json.loads(line))
+    return whole

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import torch
@@ -40,7 +42,8 @@ _MIRROR: Final = [
 def find_poses(paths: Iterable[Path], say: Callable[[str], None] = print) -> list[PoseSequence]:
     """The motions in pose files and, sorted by name, in folders of them (searched to any depth).
 
-    AMC files do not say their frame rate: in folders they are passed over, and ``say`` is told which.
+    AMC files do not say their frame rate, and AMASS has files of shapes among its motions: in folders they are passed
+    over, and ``say`` is told which.
 
     Raises
         CaphyError: if a path does not exist, a folder holds no pose file, a file cannot be read, or its poses are in a
@@ -50,7 +53,10 @@ def find_poses(paths: Iterable[Path], say: Callable[[str], None] = print) -> lis
     for path in paths:
         inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in POSE_SUFFIXES) if path.is_dir() else [path]
         rateless = [p for p in inside if p.suffix.lower() == RATELESS]
-        inside = [p for p in inside if p not in rateless]
+        still = [p for p in inside if path.is_dir() and _is_without_poses(p)]
+        inside = [p for p in inside if p not in rateless and p not in still]
+        if still:
+            say(f"note: passed over {len(still)} files without poses in {path} ({still[0].name})")
         if rateless and inside:
             say(f"note: passed over {', '.join(p.name for p in rateless)} in {path}: {_CONVERT}")
         elif rateless:
@@ -59,6 +65,15 @@ def find_poses(paths: Iterable[Path], say: Callable[[str], None] = print) -> lis
             raise CaphyError(f"{path}: holds no pose file ({', '.join(POSE_SUFFIXES)})")
         files += inside
     return [each for file in files for each in continuous_parts(_upright(replace(read_poses(file), source=str(file))))]
+
+
+def _is_without_poses(path: Path) -> bool:
+    """Whether no array of an archive has a name like one of rotations; what cannot be opened is not that."""
+    try:
+        with ZipFile(path) as archive:
+            return not any(re.search("pose|orient|rot|theta|smpl", name, re.IGNORECASE) for name in archive.namelist())
+    except (OSError, BadZipFile):
+        return False
 
 
 def _upright(sequence: PoseSequence) -> PoseSequence:

@@ -95,6 +95,16 @@ def test_pc2_is_laid_out_as_blender_reads_it(dressed, served, tmp_path):
     np.testing.assert_array_equal(mesh.faces, dressed.bundle.garment("tshirt").mesh.faces)
 
 
+def test_pc2_does_not_replace_a_mesh_of_ones_own(dressed, tmp_path):
+    (tmp_path / "tshirt.obj").write_text("mine")
+    with pytest.raises(CaphyError, match=r"tshirt\.obj: has no point cache, and would be replaced"):
+        write_pc2(dressed, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["tshirt.obj"]
+    (tmp_path / "tshirt.obj").unlink()
+    write_pc2(dressed, tmp_path)
+    write_pc2(dressed, tmp_path)
+
+
 def test_obj_sequence(dressed, served, tmp_path):
     paths = write_obj_sequence(dressed, tmp_path)
     assert len(paths) == 3 * 6

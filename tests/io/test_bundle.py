@@ -117,6 +117,17 @@ def test_never_writes_over_something_else(bundle, tmp_path):
     assert (tmp_path / "photos" / "cat.jpg").exists()
 
 
+def test_a_link_stays_a_link_and_the_current_folder_is_refused(bundle, folder, tmp_path, monkeypatch):
+    (tmp_path / "latest").symlink_to(folder)
+    write_bundle(replace(bundle, name="second"), tmp_path / "latest")
+    assert (tmp_path / "latest").is_symlink() and read_bundle(folder).name == "second"
+    assert {path.name for path in tmp_path.iterdir()} == {folder.name, "latest"}
+    monkeypatch.chdir(folder)
+    with pytest.raises(CaphyError, match="is the current folder"):
+        write_bundle(bundle, ".")
+    assert read_bundle(folder).name == "second"
+
+
 @pytest.mark.parametrize("name", ["tshirt.onnx", ARRAYS])
 def test_damaged_and_missing_files(folder, name):
     content = (folder / name).read_bytes()

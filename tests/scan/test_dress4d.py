@@ -60,6 +60,14 @@ def test_every_other_frame(tmp_path):
     assert convert_take(take, tmp_path / "set", every=2).names == ("f00001", "f00003")
 
 
+def test_frames_of_another_choice_are_not_mixed_in(tmp_path):
+    take = _take(tmp_path / "𠮷", ("00001", "00002", "00003"))
+    assert convert_take(take, tmp_path / "set", every=2).name == "𠮷"
+    with pytest.raises(CaphyError, match=r"holds other scans \(f00003\); give an empty folder"):
+        convert_take(take, tmp_path / "set", every=3)
+    assert len(convert_take(take, tmp_path / "set", every=2)) == 2
+
+
 class _Evil:
     def __reduce__(self):
         return print, ("run",)

@@ -107,6 +107,20 @@ def test_finds_pose_files_in_folders(tmp_path):
         find_poses([tmp_path / "empty"])
 
 
+def test_shapes_among_motions_are_passed_over_and_named(tmp_path):
+    """As a folder of AMASS has them."""
+    write_poses(swaying(7), tmp_path / "walk_stageii.npz")
+    np.savez(tmp_path / "shape.npz", betas=np.zeros(16), gender="neutral")
+    said: list[str] = []
+    assert [len(clip) for clip in find_poses([tmp_path], said.append)] == [7]
+    assert len(said) == 1 and "shape.npz" in said[0] and "without poses" in said[0]
+    with pytest.raises(CaphyError, match=r"shape\.npz"):
+        find_poses([tmp_path / "shape.npz"])
+    (tmp_path / "walk_stageii.npz").write_bytes(b"PK damaged")
+    with pytest.raises(CaphyError, match=r"walk_stageii\.npz"):
+        find_poses([tmp_path], said.append)
+
+
 def test_files_without_a_frame_rate_are_passed_over_and_named(tmp_path):
     write_poses(swaying(7), tmp_path / "a.npz")
     (tmp_path / "01_01.amc").write_text("whatever")

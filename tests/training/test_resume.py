@@ -16,10 +16,11 @@ import torch.distributed as dist
 import torch.multiprocessing as mp
 from small_world import small_trainer
 
+from caphy.commands.begun import interrupted
 from caphy.errors import CaphyError
 from caphy.network.files import load_network, save_network
 from caphy.training.checkpoint import NAME
-from caphy.training.loop import METRICS, NETWORK
+from caphy.training.loop import METRICS, NETWORK, read_metrics
 
 HERE = Path(__file__).parent
 
@@ -129,6 +130,19 @@ def test_metrics_after_the_checkpoint_are_forgotten(make_trainer):
     trainer.save()
     make_trainer().resume()
     assert [json.loads(line)["step"] for line in (trainer.folder / METRICS).read_text().splitlines()] == [0, 1]
+
+
+def test_metrics_before_the_first_checkpoint_are_not_another_trainings(make_trainer):
+    """It was stopped, so its folder has a line or two and no checkpoint; the next begins at the first step."""
+    trainer = make_trainer(steps=2)
+    (trainer.folder / METRICS).write_text('{"step": 38, "loss_J": 1.0}\n{"step": 80, "energies_J": {"bending": 0.1}')
+    assert "nothing was kept" in interrupted(trainer.folder)
+    trainer.run()
+    assert {entry["step"] for entry in read_metrics(trainer.folder / METRICS)} <= {0, 1, 2}
+    assert "--resume" in interrupted(trainer.folder)
+    with (trainer.folder / METRICS).open("a") as stream:
+        stream.write('{"step": 3, "energies_J": {"bending": 0.1}')
+    assert all(entry["step"] < 3 for entry in read_metrics(trainer.folder / METRICS))
 
 
 def test_learns(make_trainer):
