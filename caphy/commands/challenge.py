@@ -98,6 +98,8 @@ def _written(command: New, world: World) -> None:
     from caphy.io.measurements import write_measurement
 
     command.output.mkdir(parents=True, exist_ok=True)
+    if (command.output / "model.json").exists() and not (command.output / NAME).exists():
+        raise CaphyError(f"{command.output}: holds a model.json that is no challenge's and would be replaced")
     parts = {"train": world.train, "base": world.base, "held_out": world.held_out}
     paths: dict[str, list[str]] = {part: [] for part in parts}
     for part, measurements in parts.items():

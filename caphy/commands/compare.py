@@ -90,20 +90,20 @@ def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBu
     """The physics model of a JSON file or name, or the avatar in a folder or that comes along; raises
     :class:`CaphyError`."""
     from caphy.commands.bundled import bundled
-
-    path = Path(name)
-    if (folder := bundled(path)).is_dir():
-        from caphy.io.bundle import read_bundle
-
-        return read_bundle(folder)
     from caphy.effects.model import Model
     from caphy.effects.own import use_file
     from caphy.effects.presets import fabric_model, snug_model
+    from caphy.io.bundle import MANIFEST, read_bundle
     from caphy.material.fabrics import fabric_names
+
+    path, named = Path(name), name in ("snug", *fabric_names())
+    folder = bundled(path)
+    if folder.is_dir() and (not named or (folder / MANIFEST).is_file()):  # a page may lie in a folder called snug
+        return read_bundle(folder)
 
     for file in effect_files:
         use_file(file)
-    if path.suffix == ".json" or path.exists():
+    if path.suffix == ".json" or (path.exists() and not path.is_dir()):
         return Model.load(path)
     if name == "snug":
         return snug_model()
@@ -119,7 +119,7 @@ def _compared_curves(command: Compare, path: Path) -> dict:
     from caphy.effects.model import Model
     from caphy.io.measurements import read_force_curves
     from caphy.measure.uniaxial import compare_curves
-    from caphy.tensile.checks import far_stretched, require_tension
+    from caphy.tensile.checks import far_stretched, loading_branch, require_tension, unloading
 
     model = load_model(command.model, command.effect_file)
     if not isinstance(model, Model):
@@ -129,7 +129,9 @@ def _compared_curves(command: Compare, path: Path) -> dict:
         require_tension(curve)
     for note in far_stretched(curves):
         print(f"Note: {note}")
-    return compare_curves(model, curves, path.stem, str(path))
+    rising = [loading_branch(curve) for curve in curves]
+    found = compare_curves(model, rising, path.stem, str(path))
+    return found | {"sentences": [*found["sentences"], *unloading(curves, rising)]}
 
 
 def _compared(command: Compare, films: Sequence[Path], kept: Path) -> list[Comparison]:

@@ -15,7 +15,7 @@ from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, load_model
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
-from caphy.io.places import writable_folder, write_text
+from caphy.io.places import writable_file, writable_folder, write_text
 
 if TYPE_CHECKING:
     from caphy.diagnose.diagnosis import Diagnosis
@@ -58,6 +58,7 @@ def main(arguments: list[str]) -> None:
     """Run ``caphy diagnose`` with the arguments after it."""
     command = tyro.cli(Diagnose, args=arguments, prog="caphy diagnose")
     writable_folder(command.output)
+    writable_file(command.output / "model.json", inputs=[command.model])
     model = physics_model(command.model, command.effect_file)
     tables = [path for path in command.measurements if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(command.measurements):

@@ -55,7 +55,8 @@ class RefitCommand:
 
 
 def main(arguments: list[str]) -> int:
-    """Run ``caphy refit`` with the arguments after it; 1 where the fit is refused and nothing is written."""
+    """Run ``caphy refit`` with the arguments after it; 1 where the fit is refused and nothing is written, or
+    where of tables no effect that was asked for is kept."""
     command = tyro.cli(RefitCommand, args=arguments, prog="caphy refit")
     if not command.measurements:
         raise CaphyError("give at least one measurement")
@@ -68,8 +69,8 @@ def main(arguments: list[str]) -> int:
         writable_folder(command.output)
         with unfinished(command.output / UNFINISHED) as folder:
             kept = Kept(folder, command.effect_file)
-            refit_tables(model, command.measurements, command.output, command.held_out, command.add, kept)
-        return 0
+            found = refit_tables(model, command.measurements, command.output, command.held_out, command.add, kept)
+        return 1 if command.add and not found.kept else 0
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")
     writable_file(command.output)
@@ -144,10 +145,16 @@ def _write(
 
 def table(found: Refit) -> str:
     """The result as lines of text."""
+    from caphy.diagnose.figures import at_limit
+
     held = found.held_out
     lines = [f"{'number':40s} {'value':>11s}   95 % interval"]
     for name, (value, low, high, unit) in found.coefficients.items():
-        lines.append(f"{name:40s} {value:11.4g}   {low:.4g} to {high:.4g} {unit}")
+        if _is_relative(name, unit):
+            ends = f"{100 * low:+.3g} to {100 * high:+.3g} % of what it was{at_limit(value)}"
+            lines.append(f"{name:40s} {100 * value:+9.3g} %   {ends}")
+        else:
+            lines.append(f"{name:40s} {value:11.4g}   {low:.4g} to {high:.4g} {unit}")
     most = "at most " if held.of_clouds else ""
     floor = "" if held.floor_mm is None else f"; noise alone gives {most}{held.floor_mm:.2f} mm"
     lines += [
@@ -157,6 +164,14 @@ def table(found: Refit) -> str:
     lines += _held(found)
     lines += [found.reason] if found.reason else []
     return "\n".join(lines + [f"Note: {note}." for note in found.notes])
+
+
+def _is_relative(name: str, unit: str) -> bool:
+    """Whether a fitted number is a share by which one that has a unit changes."""
+    from caphy.effects.registry import find_effect
+
+    effect, _, parameter = name.partition(".")
+    return unit == "1" and find_effect(effect).parameters[parameter.partition("[")[0]].unit != "1"
 
 
 def _held(found: Refit) -> list[str]:

@@ -109,7 +109,8 @@ def _check_order(vertices: np.ndarray, scene: Scene, where: str) -> None:
     near = np.nanmedian(np.linalg.norm(vertices[1:-1] - vertices[:-2], axis=-1))
     far = np.nanmedian(np.linalg.norm(vertices[2:] - vertices[:-2], axis=-1))
     noise = measurement_noise(scene.measurement)
-    still = far < _STILL * (0.0 if noise is None or scene.measurement.noise_mm is None else noise.sigma) + 2e-3
+    stated = noise is not None and noise.source.startswith("stated")
+    still = far < _STILL * (noise.sigma if noise is not None and stated else 0.0) + 2e-3
     ratio = 0.0 if still else float(near / far)
     if ratio > _TURNS:
         raise CaphyError(

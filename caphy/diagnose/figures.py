@@ -118,7 +118,7 @@ def learned_of(base: Base) -> list[str]:
             f"lies {without:.2f} mm from them without, {whole:.2f} mm with: it stays as it is."
         )
     if base.changed:
-        moved = ", ".join(f"{name} {100 * by:+.3g} %{_limit(by)}" for name, by in base.changed.items())
+        moved = ", ".join(f"{name} {100 * by:+.3g} %{at_limit(by)}" for name, by in base.changed.items())
         said.append(f"The base measurements moved the model's parameters beforehand: {moved}.")
     if base.changed and base.why_not:
         said.append(f"Base clouds were not registered again by these parameters: {base.why_not}.")
@@ -176,7 +176,7 @@ def _coefficient(name: str, c: Coefficient) -> str:
     return f"{name} = {c.value:.3g}{unit} (95 %: {c.low:.3g} to {c.high:.3g})."
 
 
-def _limit(by: float) -> str:
+def at_limit(by: float) -> str:
     """What is said of a relative change that ends where changes are cut off."""
     ends = not 1.01 / FURTHEST < 1 + by < 0.99 * FURTHEST
     return f", which is as far as it is moved ({FURTHEST:g} times): more or less may be right" if ends else ""

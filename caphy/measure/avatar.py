@@ -16,6 +16,7 @@ from caphy.io.measurements import Measurement
 from caphy.io.poses import PoseSequence
 from caphy.measure.pace import PACE
 from caphy.measure.prediction import Prediction
+from caphy.measure.scene import one_mesh
 from caphy.measure.windows import LENGTH
 from caphy.rotations import matrix_from_axis_angle
 
@@ -51,9 +52,7 @@ def predict_with_avatar(measurement: Measurement, bundle: AvatarBundle, garment:
         frames=frames,
         vertices=(1 - share) * vertices[first] + share * vertices[second],
         faces=faces,
-        registered=measurement.faces is not None
-        and measurement.registered
-        and np.array_equal(measurement.faces, faces),
+        registered=measurement.faces is not None and measurement.registered and one_mesh(measurement.faces, faces),
         lag=None,
         window=np.floor(frames / (_GROUP * measurement.fps) + 1e-9).astype(int),
         converged=np.ones(len(frames), bool),
@@ -80,9 +79,7 @@ def _another_body(measurement: Measurement, bundle: AvatarBundle) -> tuple[str, 
 
 def matching_garment(measurement: Measurement, bundle: AvatarBundle, name: str | None = None) -> BundledGarment:
     """The avatar's garment to compare: the named one, the one with the measured mesh, or the only one there is."""
-    same = [
-        g for g in bundle.garments if measurement.faces is not None and np.array_equal(g.mesh.faces, measurement.faces)
-    ]
+    same = [g for g in bundle.garments if measurement.faces is not None and one_mesh(g.mesh.faces, measurement.faces)]
     if name is not None:
         named = bundle.garment(name)
         if same and named not in same:

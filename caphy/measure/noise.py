@@ -112,24 +112,25 @@ def _of_clouds(measurement: Measurement) -> Noise | None:
         if len(cloud) < 4 * _NEIGHBOURS:
             continue
         variances.append(_thickness(cloud))
-    if not variances:
+    if np.isnan(variances).all():
         return None
-    return Noise(float(np.sqrt(np.median(variances))), "estimated from the thickness of the clouds")
+    return Noise(float(np.sqrt(np.nanmedian(variances))), "estimated from the thickness of the clouds")
 
 
 def _thickness(cloud: np.ndarray) -> float:
     """Variance [m^2] of points (N, 3) [m] across the cloth, N at least 48, in the median.
 
     Of few neighbours in a dense cloud all lie within its noise and show less than all of it: they are doubled until
-    they lie flat. Where they never do, on sharply curved cloth in much noise, they are as many as lie flattest.
+    they lie flat. Where they never do, on sharply curved cloth in much noise, they are as many as lie flattest. NaN
+    where already the fewest reach too far.
     """
     from scipy.spatial import KDTree
 
     some, tree = cloud[:: max(len(cloud) // 500, 1)], KDTree(cloud)
-    best, flattest, count = 0.0, -1.0, _NEIGHBOURS
+    best, flattest, count = np.nan, -1.0, _NEIGHBOURS
     while 4 * count <= len(cloud):
         distance, near = tree.query(some, count)
-        if count > _NEIGHBOURS and np.median(distance[:, -1]) > _REACH:
+        if np.median(distance[:, -1]) > _REACH:
             break
         offset = cloud[near] - cloud[near].mean(1, keepdims=True)
         across, along, _ = np.linalg.eigvalsh(offset.swapaxes(1, 2) @ offset).T

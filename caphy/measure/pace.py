@@ -15,7 +15,15 @@ A window of 8 frames must last long enough for a force to move the cloth by more
 def paced(measurement: Measurement) -> Measurement:
     """A measurement at a rate at which windows last long enough, with a note where that is not its own."""
     note = slowed(measurement)
-    return measurement if note is None else measurement.every(_step(measurement)).with_notes(note)
+    if note is None:
+        return measurement
+    step = _step(measurement)
+    if not (measurement.seen_frames % step == 0).any():
+        raise measurement.error(
+            f"of its frames one in {step} is used, from frame 0 on, and none of these shows anything; leave out the "
+            "frames that nobody sees, and give fps as the rate of those that are left"
+        )
+    return measurement.every(step).with_notes(note)
 
 
 def slowed(measurement: Measurement) -> str | None:

@@ -69,7 +69,7 @@ class Scene:
                 f"{measurement.source or measurement.name}: has {measurement.vertex_count} vertices, garment "
                 f"{garment.name!r} {len(garment.vertices)}; they must be one mesh, or the measurement a point cloud"
             )
-        if measurement.faces is not None and not _one_mesh(measurement.faces, garment.faces):
+        if measurement.faces is not None and not one_mesh(measurement.faces, garment.faces):
             raise CaphyError(
                 f"{measurement.source or measurement.name}: its faces are not those of garment {garment.name!r}; "
                 "vertices must come in the garment's order; give the garment that was measured"
@@ -136,7 +136,7 @@ def rest_material(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return lay_flat(vertices, faces, warp_field(vertices, faces, guide))
 
 
-def _one_mesh(faces: np.ndarray, others: np.ndarray) -> bool:
+def one_mesh(faces: np.ndarray, others: np.ndarray) -> bool:
     """Whether triangles (F, 3) are the same ones, in whatever order, whichever of their corners comes first."""
     if faces.shape != others.shape:
         return False
@@ -180,7 +180,7 @@ def _motion(measurement: Measurement, garment: Garment, body: BodyModel | None) 
     if measurement.poses is None or measurement.transl is None:
         return None
     body = default_body() if body is None else body
-    there = measurement.about(body.joints[0])
+    there = measurement.about(body.rest(measurement.betas)[1][0])
     assert there.poses is not None and there.transl is not None
     poses = PoseSequence(there.poses, there.transl, there.fps, source=there.source)
     return BodyMotion(body, poses, garment, there.betas)
@@ -190,6 +190,12 @@ def _pins(measurement: Measurement, count: int) -> tuple[np.ndarray | None, Call
     """The pinned mask and splines through the pins' positions, in the order of the vertices."""
     if measurement.pinned is None or measurement.pinned_positions is None:
         return None, None
+    if not 0 <= measurement.pinned.min() <= measurement.pinned.max() < count:
+        low, high = measurement.pinned.min(), measurement.pinned.max()
+        raise measurement.error(
+            f"pinned must index the garment's {count} vertices, got {low} to {high}; is it of another mesh, or counted "
+            "from 1?"
+        )
     fixed = np.zeros(count, bool)
     fixed[measurement.pinned] = True
     order = np.argsort(measurement.pinned)

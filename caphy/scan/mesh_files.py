@@ -73,7 +73,8 @@ def _read_ply(path: Path) -> MeshFile:
     mesh = _loaded(path, skip_materials=not pictured)
     vertices, faces, colours = _parts(mesh, path)
     raw = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
-    names = () if raw is None else tuple(raw) if isinstance(raw, dict) else raw.dtype.names  # a dict in ASCII
+    raw = {} if raw is None else raw
+    names = raw if isinstance(raw, dict) else raw.dtype.names  # a dict in ASCII
     told = {name: np.asarray(raw[name]).reshape(-1) for name in names}
     if told.keys() >= set("xyz") and len(told["x"]) != len(vertices):  # split along the seams of a texture
         wanted = np.stack([told[axis] for axis in "xyz"], axis=1).astype(np.float64)

@@ -24,7 +24,7 @@ def usable(curves: Sequence[ForceCurve]) -> tuple[list[ForceCurve], list[str]]:
     if not curves:
         raise CaphyError("there are no force curves: a tensile table needs a header and rows; see docs/measurements.md")
     checked = [_checked(curve) for curve in curves]
-    cautions, kept = _unloading(curves, checked), []
+    cautions, kept = unloading(curves, checked), []
     for curve in checked:
         start = float(curve.force[:3].min())
         if start > _PRELOAD * curve.force.max():
@@ -91,7 +91,12 @@ def _checked(curve: ForceCurve) -> ForceCurve:
             f"{where}: rows must begin slack, but the first has a strain of {curve.axial[0]:.3g} of at most "
             f"{curve.axial.max():.3g}; do they run downwards? Sort them by rising strain"
         )
-    curve = _loading_branch(curve)
+    curve = loading_branch(curve)
+    if len(curve.axial) < _LEAST_ROWS:
+        raise CaphyError(
+            f"{where}: needs at least {_LEAST_ROWS} rows up to its largest strain, got {len(curve.axial)}; what "
+            "follows is unloading. Sample more often"
+        )
     agreement = _rank_correlation(curve.axial, curve.force)
     if agreement < _AGREE:
         raise CaphyError(
@@ -101,15 +106,15 @@ def _checked(curve: ForceCurve) -> ForceCurve:
     return curve
 
 
-def _loading_branch(curve: ForceCurve) -> ForceCurve:
-    """Rows up to the largest strain: what follows is unloading."""
-    end = int(curve.axial.argmax()) + 1
-    if end < _LEAST_ROWS:
+def loading_branch(curve: ForceCurve) -> ForceCurve:
+    """Rows up to the largest strain: what follows is unloading. Those that run downwards are left as they are."""
+    if curve.axial[0] > _SLACK * curve.axial.max():
         return curve
+    end = int(curve.axial.argmax()) + 1
     return replace(curve, axial=curve.axial[:end], transverse=curve.transverse[:end], force=curve.force[:end])
 
 
-def _unloading(given: Sequence[ForceCurve], checked: Sequence[ForceCurve]) -> list[str]:
+def unloading(given: Sequence[ForceCurve], checked: Sequence[ForceCurve]) -> list[str]:
     """What is said where rows were left out."""
     cut = [old for old, new in zip(given, checked, strict=True) if len(new.axial) < len(old.axial)]
     if not cut:

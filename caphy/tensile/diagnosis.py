@@ -238,7 +238,7 @@ def _verdict(stages: Mapping[str, Mapping[str, Fit]], found: Sequence[str], left
         return "nothing"
     if not found:
         return "none of these" if off["parameters"] else "parameters"
-    return "named" if left <= MOSTLY else "none of these"
+    return "named" if left <= MOSTLY or not off["with effects"] else "none of these"
 
 
 def _loading_errors(stages: Mapping[str, Mapping[str, Fit]], learning: Fabrics, held: Fabrics) -> list[CurveError]:

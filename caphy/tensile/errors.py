@@ -75,7 +75,7 @@ def _floor(test: Tests, loading: Loading, known: Sequence[Tests], own: bool) -> 
     count = np.isfinite(stack).sum(0)
     mean = np.where(count > 0, np.nansum(stack, 0) / np.maximum(count, 1), np.nan)
     error = mean - loading.force
-    return float(np.sqrt(np.nanmean(error**2)))
+    return _rms(error, error)  # none where it shares no strain with its repeats
 
 
 def held_out_residual(fit: Fit, tests: list[Tests]) -> np.ndarray:

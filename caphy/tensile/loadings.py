@@ -16,6 +16,7 @@ BINS = 24
 """Of strain, in each loading."""
 LEAST_FORCE, LEAST_STRAIN = 0.01, 0.01
 """Smallest scatter: of force as a share of the largest, of transverse strain."""
+_FARTHER = 1.1  # times the strain that half of the loadings reach: what is said to be left out
 _FIRST = 0.01  # of the largest strain: where the first bin starts
 
 
@@ -100,8 +101,22 @@ def prepared(curves: Sequence[ForceCurve]) -> tuple[Fabrics, list[str]]:
         )
     fabrics: Fabrics = {}
     for (fabric, direction), part in groups.items():
-        fabrics.setdefault(fabric, []).append(_tests(fabric, direction, part, float(np.median(shares))))
+        tests = _tests(fabric, direction, part, float(np.median(shares)))
+        fabrics.setdefault(fabric, []).append(tests)
+        cautions += _beyond(tests, part)
     return fabrics, cautions
+
+
+def _beyond(tests: Tests, curves: Sequence[ForceCurve]) -> list[str]:
+    """What is said where loadings are pulled much farther than most, which have nothing to say there."""
+    top = float(tests.axial[-1])
+    far = [curve.name for curve in curves if curve.axial.max() > _FARTHER * top]
+    if not far:
+        return []
+    return [
+        f"{tests.name}: {', '.join(far)} {'goes' if len(far) == 1 else 'go'} beyond the strain of {100 * top:.3g} % "
+        "that half of the loadings reach; rows beyond it are left out, so that nothing is said of what they show."
+    ]
 
 
 def _tests(fabric: str, direction: str, curves: Sequence[ForceCurve], share: float) -> Tests:

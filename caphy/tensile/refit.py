@@ -38,7 +38,8 @@ class CurveRefit:
     @property
     def sentences(self) -> list[str]:
         """What was kept, what was refused, and the errors."""
-        kept = ", ".join(self.kept) or "no effect; only parameters were refitted"
+        changed = "nothing was changed" if self.outcome.verdict == "nothing" else "only parameters were refitted"
+        kept = ", ".join(self.kept) or f"no effect; {changed}"
         return [f"Added: {kept}.", *self.refused.values(), *self.outcome.sentences[1:]]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -108,19 +108,31 @@ def write(
         f"{name}.json": json.dumps(document, indent=1, allow_nan=False),
         f"{name}.html": tensile_page(title, document, {"written by": f"caphy {__version__}"}),
     }
+    slugs = _slugs(diagnosis.models)
     for fabric, (first, used) in diagnosis.models.items():
-        texts[f"{_slug(fabric)}.json"] = _revised(used, since, f"fitted to tensile tests of {fabric}", data)
+        texts[f"{slugs[fabric]}.json"] = _revised(used, since, f"fitted to tensile tests of {fabric}", data)
         if diagnosis.found_used:
             note = f"fitted to first loadings in tensile tests of {fabric}"
-            texts[f"{_slug(fabric)}_first.json"] = _revised(first, since, note, data)
+            texts[f"{slugs[fabric]}_first.json"] = _revised(first, since, note, data)
     for file, text in texts.items():
         write_text(folder / file, text)
     return [folder / file for file in texts]
 
 
 def _revised(model: Model, since: Model | None, note: str, data: Sequence[str]) -> str:
-    return (model if since is None else model.revised(since, note, data=data)).to_json()
+    if since is None:
+        return model.to_json()
+    return (since if model == since else model.revised(since, note, data=data)).to_json()
 
 
-def _slug(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name).strip("_").lower() or "cloth"
+def _slugs(names: Iterable[str]) -> dict[str, str]:
+    """File names of fabrics, each its own, and none that of the answer or of another's first loading."""
+    found: dict[str, str] = {}
+    for name in names:
+        plain = "".join(c if c.isalnum() else "_" for c in name).strip("_").lower() or "cloth"
+        taken = {"diagnosis", "refit", *found.values(), *(f"{slug}_first" for slug in found.values())}
+        slug, number = plain, 2
+        while slug in taken or f"{slug}_first" in taken:
+            slug, number = f"{plain}_{number}", number + 1
+        found[name] = slug
+    return found

@@ -32,9 +32,11 @@ def diagnose_tables(
 
 def refit_tables(
     model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], add: Sequence[str], kept: Kept
-) -> None:
+) -> CurveRefit:
     """Refit a model with effects added to tables of force curves; raises :class:`caphy.errors.CaphyError`."""
-    _finish(refit_curves(model, _curves(tables), _curves(held_out), add, kept), output, model, tables)
+    found = refit_curves(model, _curves(tables), _curves(held_out), add, kept)
+    _finish(found, output, model, tables)
+    return found
 
 
 def _curves(tables: Sequence[Path]) -> list[ForceCurve]:

@@ -74,7 +74,7 @@ def test_an_estimate_within_its_error_is_no_explanation():
 
 @pytest.mark.parametrize(("by", "told"), [(9.0, True), (-0.9, True), (3.0, False), (-0.6, False)])
 def test_a_parameter_that_went_as_far_as_it_may_is_told(by, told):
-    assert ("as far as it is moved (10 times)" in figures._limit(by)) == told
+    assert ("as far as it is moved (10 times)" in figures.at_limit(by)) == told
 
 
 def test_a_frequency_is_surely_not_zero_and_proves_nothing():

@@ -37,6 +37,14 @@ def test_an_avatar_agrees_with_its_own_network(measurement):
     np.testing.assert_allclose(prediction.vertices, measurement.vertices, atol=TOLERANCE)
 
 
+def test_a_mesh_is_known_in_whatever_order_its_triangles_come(measurement):
+    bundle = shell_avatar()
+    turned = replace(measurement, faces=np.roll(measurement.faces, 1, axis=1)[::-1].copy())
+    garment = matching_garment(turned, bundle)
+    assert garment.name == "tshirt"
+    assert predict_with_avatar(turned, bundle, garment).registered
+
+
 def test_frames_after_the_network_s_last_one_are_not_compared(measurement):
     """At 25 frames a second the last may lie between two of the network's, of which there is but the first."""
     bundle, garment = shell_avatar(), shell_avatar().garment("tshirt")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from explicit_cloth import measured, simulate
 
+from caphy.errors import CaphyError
 from caphy.io.measurements import Measurement
 from caphy.measure.pace import FASTEST, paced
 from caphy.measure.scene import Scene
@@ -26,6 +27,13 @@ def test_the_rate_that_is_used(film, fps, step):
     assert fewer.fps == fps / step
     assert (fewer is paced(fewer)) and len(fewer) == -(-len(film) // step)
     assert len(fewer.notes) - len(film.notes) == (fps > FASTEST)
+
+
+def test_a_film_of_which_no_used_frame_shows_anything_is_told_so(film):
+    vertices = film.vertices.copy()
+    vertices[::2] = np.nan
+    with pytest.raises(CaphyError, match=r"one in 2 is used, from frame 0 on, and none of these shows anything"):
+        paced(replace(film, vertices=vertices, fps=60.0))
 
 
 def test_frames_that_are_used_are_those_that_were_given(film):

@@ -18,7 +18,10 @@ from caphy.kept import Kept
 from caphy.tensile import diagnose_curves, refit_curves
 from caphy.tensile.between import TOO_FEW
 from caphy.tensile.checks import usable
-from caphy.tensile.report import write
+from caphy.tensile.diagnosis import _verdict
+from caphy.tensile.errors import _floor
+from caphy.tensile.loadings import prepared
+from caphy.tensile.report import _slugs, write
 from caphy.tensile.strip import Strip
 from caphy.tensile.unexplained import drift
 
@@ -267,6 +270,85 @@ def test_unloading_is_left_out_and_that_is_said():
     answer = diagnose_curves(model(), [let_go(curves[0]), *curves[1:]])
     assert answer.verdict == "nothing"
     assert any(f"1 of {len(curves)} loadings: rows of unloading are left out" in said for said in answer.cautions)
+
+
+def test_a_comparison_leaves_unloading_out_too(tmp_path, capsys):
+    """Forces on the way back are lower at the same strain, for which the model is not to blame; rows may run down."""
+    table, errors = tmp_path / "strips.csv", []
+    for change in (lambda curve: curve, let_go, lambda c: replace(c, **{k: turned(getattr(c, k)) for k in COLUMNS})):
+        rows = [
+            f"{c.direction},{c.loading},{a},{f}"
+            for c in map(change, measured(isotropic(), TOP))
+            for a, f in zip(c.axial, c.force, strict=True)
+        ]
+        table.write_text("\n".join(["direction,loading,axial_strain,force_per_width_N_per_m", *rows]))
+        assert main(["compare", "snug", str(table), "-o", str(tmp_path / "out")]) == 0
+        errors.append([c["rms_n_per_m"] for c in _written(tmp_path / "out")["force_curves"][0]["curves"]])
+        assert ("rows of unloading are left out" in capsys.readouterr().out) == (change is let_go)
+    np.testing.assert_allclose(errors[1:], errors[:1] * 2, rtol=1e-6)
+
+
+COLUMNS = ("axial", "transverse", "force")
+
+
+def _written(folder):
+    return json.loads((folder / "compare.json").read_text())
+
+
+def test_a_rise_of_too_few_rows_is_no_loading():
+    curves = measured(isotropic(), TOP)
+    short = let_go(ForceCurve("cloth", "weft", 1, *(getattr(curves[0], name)[::20] for name in COLUMNS)))
+    with pytest.raises(CaphyError, match="at least 8 rows up to its largest strain, got 6"):
+        diagnose_curves(model(), [short, *curves[1:]])
+
+
+def test_what_is_pulled_farther_than_most_is_said_to_be_left_out():
+    curves = measured(isotropic(), TOP)
+    farther = measured(isotropic(), 2 * TOP, seed=1)[0]
+    _, cautions = prepared([replace(farther, loading=6), *curves])
+    assert [said for said in cautions if "cloth weft 6 goes beyond the strain of" in said]
+    assert not prepared(curves)[1]
+
+
+def test_a_loading_that_shares_no_strain_with_its_repeats_has_no_floor():
+    """Of hand-typed tables of few rows; the error between repeats was NaN, and nothing was written."""
+    test = prepared(measured(isotropic(), TOP, loadings=3))[0]["cloth"][0]
+    every = np.arange(len(test.loadings[1].force))
+    apart = [replace(r, force=np.where(every % 2 == k, 1.0, np.nan)) for k, r in enumerate(test.loadings[1:])]
+    alone = replace(test, loadings=tuple(apart))
+    assert _floor(alone, apart[0], [alone], own=True) is None
+    assert _floor(test, test.loadings[1], [test], own=True) > 0
+
+
+def test_fabrics_of_like_names_have_files_of_their_own():
+    slugs = _slugs(["Jersey A", "jersey_a", "diagnosis", "refit", "x", "x_first"])
+    assert slugs["Jersey A"] == "jersey_a" and len({*slugs.values()}) == 6
+    files = [f"{slug}{end}" for slug in slugs.values() for end in ("", "_first")]
+    assert len({*files}) == len(files) and not {"diagnosis", "refit"} & {*files}
+
+
+def test_effects_that_leave_nothing_outside_the_scatter_explain_it(monkeypatch):
+    """Where parameters alone nearly do, what is left of what they leave is a large share, and means nothing."""
+    fits = dict.fromkeys(("as given", "parameters", "with effects"))
+    for outside_at_the_end, verdict in ((False, "named"), (True, "none of these")):
+        off = {"as given": True, "parameters": True, "with effects": outside_at_the_end}
+        monkeypatch.setattr("caphy.tensile.diagnosis.outside", off.__getitem__)
+        assert _verdict({stage: {"cloth": stage} for stage in fits}, ["hysteresis"], 0.9) == verdict
+
+
+def test_a_refit_that_changes_nothing_says_so(tmp_path, capsys):
+    table = tmp_path / "strips.csv"
+    rows = [
+        f"{c.direction},{c.loading},{a},{f}"
+        for c in measured(isotropic(), TOP)
+        for a, f in zip(c.axial, c.force, strict=True)
+    ]
+    table.write_text("\n".join(["direction,loading,axial_strain,force_per_width_N_per_m", *rows]))
+    (tmp_path / "m.json").write_text(model().to_json())
+    asked = ["refit", str(tmp_path / "m.json"), str(table), "--add", "strain_stiffening", "-o", str(tmp_path / "out")]
+    assert main(asked) == 1
+    assert "no effect; nothing was changed" in capsys.readouterr().out
+    assert Model.load(tmp_path / "out" / "strips.json").history == model().history
 
 
 def test_too_few_loadings_for_what_the_first_one_does_are_told():
