@@ -225,6 +225,7 @@ def _moments(prediction: Prediction, measurement: Measurement, errors: Errors, r
             found.append(
                 {
                     "frame": frame,
+                    "number": measurement.number(frame),
                     "row": int(row),
                     "time_s": frame / measurement.fps,
                     "region": str(names[region]),

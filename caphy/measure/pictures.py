@@ -94,7 +94,7 @@ def worst_moments(comparison: Comparison) -> tuple[Picture, ...]:
         if measured is not None:
             images.append(render([measured, *body], camera, (SIDE, SIDE)))
         caption = (
-            f"frame {frame}, {moment['time_s']:.2f} s: {moment['region'].replace('_', ' ')} "
+            f"frame {moment['number']}, {moment['time_s']:.2f} s: {moment['region'].replace('_', ' ')} "
             f"{moment['median_mm']:.0f} mm off"
         )
         pictures.append(Picture(_png(np.concatenate(images, axis=1)), caption, frame))

@@ -108,7 +108,7 @@ def _moment(figures: dict) -> str | None:
         return None
     worst = figures["moments"][0]
     return (
-        f"The worst moment is frame {worst['frame']} ({worst['time_s']:.2f} s): the {_words(worst['region'])} is "
+        f"The worst moment is frame {worst['number']} ({worst['time_s']:.2f} s): the {_words(worst['region'])} is "
         f"{_mm(worst['median_mm'])} off."
     )
 

@@ -163,6 +163,7 @@ def test_which_frame_is_the_first_is_asked_where_numbers_do_not_say(tmp_path):
         read_measurement(_folder(tmp_path / "late", range(3, 20)))
     read = read_measurement(_folder(tmp_path / "early", range(3, 20), "first_frame = 3"))
     assert read.seen_frames.tolist() == list(range(17))
+    assert (read.number(0), read.number(2)) == (3, 5)
     read = read_measurement(_folder(tmp_path / "unseen", range(3, 20), "first_frame = 0"))
     assert read.seen_frames.tolist() == list(range(3, 20))
     with pytest.raises(CaphyError, match="at most 3"):

@@ -41,6 +41,7 @@ def test_frames_that_are_used_are_those_that_were_given(film):
     used = scene.measurement
     np.testing.assert_array_equal(used.vertices, film.vertices[::4])
     np.testing.assert_allclose(scene.pins(1 / used.fps).numpy(), film.pinned_positions[4][np.argsort(film.pinned)])
+    assert [used.number(frame) for frame in (0, 3)] == [0, 12]
     assert "has 120 frames a second, of which one of 4 is used" in used.notes[-1]
 
 

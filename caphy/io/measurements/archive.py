@@ -13,14 +13,12 @@ from zipfile import is_zipfile
 import numpy as np
 
 from caphy.errors import CaphyError
-from caphy.io.measurements.measurement import Measurement
+from caphy.io.measurements.measurement import PLAIN, Measurement
 from caphy.io.poses.sequence import Y_UP_FROM_Z_UP, PoseSequence
 from caphy.io.unpacked import require_unpackable
 
 FORMAT: Final = "caphy-measurement-1"
-ARRAYS: Final = tuple(
-    field.name for field in fields(Measurement) if field.name not in ("name", "fps", "noise_mm", "source", "notes")
-)
+ARRAYS: Final = tuple(field.name for field in fields(Measurement) if field.name not in PLAIN)
 """Keys that hold arrays."""
 STEADY: Final = ("poses", "transl", "pinned_positions", "body_vertices")
 """Those that are known in every frame, also where the cloth was not seen."""
@@ -59,6 +57,7 @@ def from_arrays(arrays: Mapping[str, Any], name: str, source: str) -> tuple[Meas
         fps=_number(arrays["fps"], "fps", source),
         noise_mm=None if "noise_mm" not in arrays else _number(arrays["noise_mm"], "noise_mm", source),
         source=source,
+        numbering=(int(arrays.get("first_frame", 0)), 1),
         notes=tuple(str(note) for note in np.atleast_1d(arrays.get("notes", np.zeros(0, str)))),
         **given,
     )

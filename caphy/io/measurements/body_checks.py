@@ -106,7 +106,8 @@ def _require_each_near(measurement: Measurement, frames: np.ndarray, each: np.nd
     if each.max() > ASTRAY * REACH:
         worst, many = int(frames[each.argmax()]), int((each > ASTRAY * REACH).sum())
         raise measurement.error(
-            f"in frame {worst} the cloth lies {each.max():.2f} m from {what} ({many} of {len(frames)} frames tried)"
+            f"in frame {measurement.number(worst)} the cloth lies {each.max():.2f} m from {what} ({many} of "
+            f"{len(frames)} frames tried)"
         )
 
 

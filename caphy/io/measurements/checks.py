@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -122,9 +123,14 @@ def _require_near_itself(measurement: Measurement) -> None:
                 place = int(np.flatnonzero(measurement.observed[frame])[place])
             what, remedy = ("vertex", "NaN") if measurement.registered else ("point", "out")
             raise measurement.error(
-                f"{what} {place} lies {away.max():.3g} m away from the others in frame {frame} ({(away > limit).sum()} "
-                f"such there): leave what was not seen {remedy}"
+                f"{what} {place} lies {away.max():.3g} m away from the others in frame {measurement.number(frame)} "
+                f"({(away > limit).sum()} such there): leave what was not seen {remedy}"
             )
+
+
+def _pair(measurement: Measurement, frames: Sequence[int] | np.ndarray) -> str:
+    first, second = map(measurement.number, frames)
+    return f"{first} and {second}"
 
 
 def mesh_edges(faces: np.ndarray) -> np.ndarray:
@@ -184,8 +190,8 @@ def _require_seen(measurement: Measurement) -> None:
         counts = np.bincount(frame, minlength=len(measurement))
         if counts.max() > 1:
             raise measurement.error(
-                f"frame {int(counts.argmax())} has {counts.max()} points at (0, 0, 0); leave points that were not seen "
-                "out of the cloud"
+                f"frame {measurement.number(counts.argmax())} has {counts.max()} points at (0, 0, 0); leave points "
+                "that were not seen out of the cloud"
             )
         return
     at = measurement.observed & (measurement.vertices == 0).all(axis=-1)
@@ -196,8 +202,8 @@ def _require_seen(measurement: Measurement) -> None:
         if len(zeros) > 1 or _torn_off(measurement, int(frame), int(zeros[0])):
             many = int(at.sum())
             raise measurement.error(
-                f"vertex {zeros[0]} lies at (0, 0, 0) in frame {frame}, away from its neighbours ({many} such places): "
-                "leave what was not seen NaN"
+                f"vertex {zeros[0]} lies at (0, 0, 0) in frame {measurement.number(frame)}, away from its neighbours "
+                f"({many} such places): leave what was not seen NaN"
             )
 
 
@@ -232,7 +238,7 @@ def _require_no_repeats(measurement: Measurement) -> None:
     if len(pairs):
         first = int(pairs[0])
         raise measurement.error(
-            f"frames {frames[first]} and {frames[first + 1]} are the same to the last digit, "
+            f"frames {_pair(measurement, frames[first : first + 2])} are the same to the last digit, "
             f"{'in spite of noise' if noisy else 'while the cloth moves before and after'} ({len(pairs)} such pairs): "
             "leave repeated frames empty (NaN), and give the true fps"
         )
@@ -268,8 +274,9 @@ def _require_same_mesh(measurement: Measurement) -> None:
         low, high = np.quantile(own, (0.1, 0.9)) if len(own) else (1.0, 1.0)
         if high > TORN * low:
             raise measurement.error(
-                f"in frame {frame} some edges are {low:.2g} and others {high:.2g} times as long as at rest: its "
-                "vertices are in another order than other frames'; export all from one mesh, or leave it empty (NaN)"
+                f"in frame {measurement.number(frame)} some edges are {low:.2g} and others {high:.2g} times as long as "
+                "at rest: its vertices are in another order than other frames'; export all from one mesh, or leave it "
+                "empty (NaN)"
             )
 
 
@@ -309,10 +316,12 @@ def _require_order(measurement: Measurement) -> None:
         return
     first = int(frames[np.argmax(wrong) + 1])
     if wrong.sum() == 1:
-        raise measurement.error(f"frames {first} and {first + 1} look exchanged; put the frames in the order of time")
+        raise measurement.error(
+            f"frames {_pair(measurement, (first, first + 1))} look exchanged; put the frames in the order of time"
+        )
     raise measurement.error(
-        f"the frames look shuffled, first at frames {first} and {first + 1}: the way through them becomes much shorter "
-        "when neighbours are exchanged. Sort them by time (frame_2, frame_10 sort wrongly as text)"
+        f"the frames look shuffled, first at frames {_pair(measurement, (first, first + 1))}: the way through them "
+        "becomes much shorter when neighbours are exchanged. Sort them by time (frame_2, frame_10 sort wrongly as text)"
     )
 
 
@@ -326,8 +335,8 @@ def _require_ordered_clouds(measurement: Measurement) -> None:
     if same.any():
         first = int(same.argmax())
         raise measurement.error(
-            f"frames {frames[first]} and {frames[first + 1]} are the same to the last digit ({same.sum()} such pairs): "
-            "leave repeated frames empty, and give the true fps"
+            f"frames {_pair(measurement, frames[first : first + 2])} are the same to the last digit ({same.sum()} such "
+            "pairs): leave repeated frames empty, and give the true fps"
         )
     clouds = [cloud for cloud in clouds if len(cloud) >= TELLING]
     if len(clouds) < 6:
@@ -361,8 +370,8 @@ def _require_no_jump(measurement: Measurement) -> None:
     elif worst == len(away) - 1 and away[-2] < 0.25 * by:
         place, by = len(frames) - 1, 2 * by
     raise measurement.error(
-        f"frame {frames[place]} lies elsewhere than the frames around it say, by {by:.2g} m in the median of its "
-        "vertices; put its unit, place and order right, or leave it empty (NaN)"
+        f"frame {measurement.number(frames[place])} lies elsewhere than the frames around it say, by {by:.2g} m in the "
+        "median of its vertices; put its unit, place and order right, or leave it empty (NaN)"
     )
 
 

@@ -58,7 +58,8 @@ def read_folder(folder: Path) -> tuple[Measurement, bool]:
     meshes = {frame: _mesh(path) for frame, path in files.items()}
     registered = bool(description.get("registered", "rest" in description))
     arrays |= _registered(meshes, files, arrays, where) if registered else _clouds(meshes)
-    arrays["frame_index"] = np.array(sorted(files)) - _first_frame(files, arrays, description, where)
+    arrays["first_frame"] = _first_frame(files, arrays, description, where)
+    arrays["frame_index"] = np.array(sorted(files)) - arrays["first_frame"]
     arrays |= {
         key: description[key] for key in ("fps", "name", "up_axis", "noise_mm", "frame_count") if key in description
     }

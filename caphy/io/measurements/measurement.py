@@ -12,6 +12,8 @@ from caphy.errors import CaphyError
 
 INTEGERS = ("faces", "offsets", "pinned", "body_faces")
 """Fields that hold indices."""
+PLAIN = ("name", "fps", "noise_mm", "source", "notes", "numbering")
+"""Attributes that are no arrays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +80,13 @@ class Measurement:
     """The file it came from."""
     notes: tuple[str, ...] = ()
     """What the reader had to assume, in plain words."""
+    numbering: tuple[int, int] = (0, 1)
+    """The number that the first frame has in its source, and by how much the numbers of frames rise."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is not None and field.name not in ("name", "fps", "noise_mm", "source", "notes"):
+            if value is not None and field.name not in PLAIN:
                 object.__setattr__(self, field.name, self._array(field.name, value))
         if (self.vertices is None) == (self.points is None):
             raise self.error("must hold either registered 'vertices' (T, V, 3) or 'points' (N, 3) with 'offsets'")
@@ -139,6 +143,11 @@ class Measurement:
         assert self.points is not None and self.offsets is not None
         return self.points[self.offsets[frame] : self.offsets[frame + 1]]
 
+    def number(self, frame: int | np.integer) -> int:
+        """The number that a frame has in the source, to tell it by."""
+        first, step = self.numbering
+        return first + step * int(frame)
+
     def with_notes(self, *notes: str) -> Measurement:
         """The same measurement with further remarks."""
         return replace(self, notes=(*self.notes, *notes))
@@ -167,7 +176,8 @@ class Measurement:
             fewer |= {"points": self.points[of_kept], "offsets": np.r_[0, np.cumsum(seen[kept])]}
             if self.noise is not None:
                 fewer["noise"] = self.noise[of_kept]
-        return replace(self, fps=self.fps / step, **fewer)
+        numbering = (self.numbering[0], step * self.numbering[1])
+        return replace(self, fps=self.fps / step, numbering=numbering, **fewer)
 
     def error(self, message: str) -> CaphyError:
         """What is wrong with this measurement, with its file before it."""
@@ -314,7 +324,8 @@ class Measurement:
             return
         frame, vertex = map(int, np.argwhere(infinite)[0])
         raise self.error(
-            f"vertices must be finite, or NaN where they were not seen, got infinity in frame {frame}, vertex {vertex}"
+            "vertices must be finite, or NaN where they were not seen, got infinity in frame "
+            f"{self.number(frame)}, vertex {vertex}"
         )
 
     def _require_finite(self, name: str) -> None:

@@ -50,9 +50,9 @@ def require_pins(measurement: Measurement) -> None:
     astray = 1e3 * np.nanmedian(away[frames], axis=1)
     if astray.max() > 1e3 * ASTRAY * limit:
         raise measurement.error(
-            f"in frame {frames[np.argmax(astray)]} the pinned vertices were measured {astray.max():.0f} mm from "
-            f"pinned_positions, in half of the frames {1000 * middle:.0f} mm; put that frame right, or leave its "
-            "vertices empty (NaN) if it is they that are wrong"
+            f"in frame {measurement.number(frames[np.argmax(astray)])} the pinned vertices were measured "
+            f"{astray.max():.0f} mm from pinned_positions, in half of the frames {1000 * middle:.0f} mm; put that "
+            "frame right, or leave its vertices empty (NaN) if it is they that are wrong"
         )
 
 

@@ -62,6 +62,6 @@ def axis_rotations(axis: int, angles: np.ndarray) -> np.ndarray:
 def read_text(path: Path) -> str:
     """The text of a file; raises :class:`CaphyError` where it cannot be read as such."""
     try:
-        return path.read_text(encoding="utf-8", errors="strict")
+        return path.read_text(encoding="utf-8-sig", errors="strict")
     except (OSError, UnicodeDecodeError) as error:
         raise CaphyError(f"{path}: cannot be read as text: {error}") from error
