@@ -79,9 +79,11 @@ def _read_ply(path: Path) -> MeshFile:
     if told.keys() >= set("xyz") and len(told["x"]) != len(vertices):  # split along the seams of a texture
         wanted = np.stack([told[axis] for axis in "xyz"], axis=1).astype(np.float64)
         vertices, faces, colours = _in_order(wanted, vertices, faces, colours)
-    if mesh.visual is not None and mesh.visual.kind == "texture" and not pictured:
+    textured = mesh.visual is not None and mesh.visual.kind == "texture"
+    if textured and not pictured:
         colours = None  # a grey of the reader's own
-    if told.keys() >= set(_RGB) and (colours is None or told["red"].dtype == np.uint16):
+    short = not textured and told.keys() >= set(_RGB) and told["red"].dtype == np.uint16
+    if told.keys() >= set(_RGB) and (colours is None or short):
         own = np.stack([told[name] for name in _RGB], axis=1)
         colours = (own >> 8 if own.dtype == np.uint16 else own if own.max() > 1 else 255 * own).astype(np.uint8)
     return MeshFile(vertices, faces, colours, told["label"].astype(np.int64) if "label" in told else None)
