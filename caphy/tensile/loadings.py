@@ -114,7 +114,7 @@ def _beyond(tests: Tests, curves: Sequence[ForceCurve]) -> list[str]:
     if not far:
         return []
     return [
-        f"{tests.name}: {', '.join(far)} {'goes' if len(far) == 1 else 'go'} beyond the strain of {100 * top:.3g} % "
+        f"{', '.join(far)} {'goes' if len(far) == 1 else 'go'} beyond the strain of {100 * top:.3g} % "
         "that half of the loadings reach; rows beyond it are left out, so that nothing is said of what they show."
     ]
 

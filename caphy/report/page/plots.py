@@ -195,7 +195,7 @@ def tensile_plot(row: dict) -> str:
             first = " first" if state == "first" and len(curves) > 1 else ""
             path = _curve(x, y, row["axial"], curves[state]["force"], high)
             body += f'<path class="line line{number}{first}" d="{path}"/>'
-    for number, at, name in ((1, 40, "measured"), (2, 112, "parameters only"), (0, 222, "with effects")):
+    for number, at, name in ((1, 40, "measured"), (2, 116, "parameters only"), (0, 238, "with effects")):
         body += f'<text class="legend line{number}" x="{LEFT + at}" y="10">{name}</text>'
     return _frame(f"Force of {row['fabric'].replace('_', ' ')}, {row['direction']}", "axial strain [%]", "N/m", body)
 
