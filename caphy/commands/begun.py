@@ -164,7 +164,7 @@ def write_record(
 
     garment.save(options.output / GARMENT)
     write_text(options.output / MODEL, model.to_json() + "\n")
-    read = contents(options, trained)
+    read, begun = contents(options, trained), options.init or options.transfer
     write_text(options.output / OPTIONS, json.dumps({**told(options), CONTENTS: read}, indent=2))
     record = {
         "format": "caphy-run-1",
@@ -180,7 +180,7 @@ def write_record(
         "held_out": [Path(clip.source).name for clip in held_out],
         "scans": None if options.scans is None else options.scans.resolve().name,
         SCANS_DIGEST: read.get("scans"),
-        INIT_SCANS: None if options.init is None else sorted(set(learnt_from(options.init))),
+        INIT_SCANS: None if begun is None else sorted(set(learnt_from(begun))),
         "lambda_3d": options.lambda_3d,
         "physics": options.physics,
         "held_out_paths": [placed(clip.source) for clip in held_out],

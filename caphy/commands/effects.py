@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 import numpy as np
 import tyro
 
+from caphy.commands.following import following
 from caphy.effects.base import Effect, Group, needs
 from caphy.effects.registry import find_effect, register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
@@ -109,7 +110,7 @@ def main(arguments: list[str]) -> int:
         case New(name, output):
             path = output or Path(f"{name}.py")
             write_scaffold(name, path)
-            print(f"wrote {path}; edit it, then: caphy effects check --effect-file {path}")
+            print(f"wrote {path}; edit it, then: {following('effects', 'check', '--effect-file', path)}")
     return 0
 
 
@@ -152,7 +153,7 @@ def _effect_rows() -> list[tuple[str, ...]]:
     groups = get_args(Group)
     for name, effect in sorted(registered_effects().items(), key=lambda item: (groups.index(item[1].group), item[0])):
         acts = "in motion" if effect.needs_step else "always"
-        summary = inspect.getdoc(inspect.getmodule(effect)) or inspect.getdoc(effect) or "-"
+        summary = inspect.getdoc(inspect.getmodule(effect)) or inspect.cleandoc(effect.__doc__ or "") or "-"
         parameters = ", ".join(f"{key} [{parameter.unit}]" for key, parameter in effect.parameters.items())
         rows.append((effect.group, name, effect.element, acts, parameters or "-", summary.splitlines()[0]))
     return rows

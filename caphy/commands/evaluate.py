@@ -78,7 +78,10 @@ def _rows(command: Evaluate) -> list[Row]:
     """What the run holds, and what was given, which takes the place of rows of the same name."""
     from caphy.evaluate.rows import given_row, known_rows
 
-    given = {row.name: row for row in map(given_row, command.row)}
+    rows = [given_row(row) for row in command.row]
+    given = {row.name: row for row in rows}
+    if len(given) < len(rows):
+        raise CaphyError(f"--row names each row once, got {', '.join(row.name for row in rows)}")
     known = known_rows(command.output)
     return [given.pop(row.name, row) for row in known] + list(given.values())
 

@@ -128,11 +128,15 @@ def _check(options: FabricCommand) -> None:
 
 
 def _base(options: FabricCommand) -> Model:
+    from caphy.commands.train import on_body
     from caphy.effects.model import Model
     from caphy.effects.presets import fabric_model
     from caphy.fabric.coefficients import Coefficients
 
-    model = fabric_model(options.fabric) if options.model is None else Model.load(options.model)
+    if options.model is None:
+        model = fabric_model(options.fabric)
+    else:
+        model = on_body(Model.load(options.model), None, options.model)
     Coefficients.of(model)  # raises unless it can be fitted
     return model
 

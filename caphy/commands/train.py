@@ -302,7 +302,7 @@ def _model(options: Train, initial: Initial | None) -> Model:
     from caphy.effects.presets import fabric_model, snug_model
 
     if options.model is not None:
-        return _on_body(Model.load(options.model), initial, options)
+        return on_body(Model.load(options.model), initial, options.model, options.init)
     if options.fabric is not None:
         return fabric_model(options.fabric)
     if initial is not None:
@@ -310,7 +310,7 @@ def _model(options: Train, initial: Initial | None) -> Model:
     return snug_model()
 
 
-def _on_body(model: Model, initial: Initial | None, options: Train) -> Model:
+def on_body(model: Model, initial: Initial | None, path: Path, init: Path | None = None) -> Model:
     """A model with what holds a garment off and on its body, which one of cloth on pins lacks, as the network that
     training begins with had it, or else SNUG has."""
     from caphy.effects.model import Model
@@ -318,12 +318,12 @@ def _on_body(model: Model, initial: Initial | None, options: Train) -> Model:
 
     known, whose = snug_model(), "SNUG"
     if initial is not None and initial.model:
-        known, whose = Model.from_json(json.dumps(initial.model), str(options.init)), str(options.init)
+        known, whose = Model.from_json(json.dumps(initial.model), str(init)), str(init)
     lacking = [name for name in BODY_EFFECTS if name in known.effects and name not in model.effects]
     for name in lacking:
         model = model.with_effect(name, **known.effects[name])
     if lacking and os.environ.get("RANK", "0") == "0":
-        print(f"note: {options.model} is of cloth that no body wears: {' and '.join(lacking)} are taken from {whose}")
+        print(f"note: {path} is of cloth that no body wears: {' and '.join(lacking)} are taken from {whose}")
     return model
 
 

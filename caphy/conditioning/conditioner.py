@@ -103,14 +103,15 @@ class Conditioner:
 
     def _start(self) -> None:
         cutoff = 2 * np.pi * self.settings.cutoff
-        self._turns = RotationTrack(self._standing, cutoff**-4, SURE)
-        self._path = PathTrack(np.zeros((1, 3)), cutoff**-4, SURE)
+        self._turns = RotationTrack(self._standing, cutoff**-4, SURE, self.settings.latency)
+        self._path = PathTrack(np.zeros((1, 3)), cutoff**-4, SURE, self.settings.latency)
         self._time = NEVER
         self._first: float | None = None
         self._count = 0
         self._out: tuple[np.ndarray, np.ndarray] | None = None
         self._was_held = np.zeros(JOINT_COUNT, bool)
         self._rested = self._was_unplaced = False
+        self._before = NEVER
         self._turn_offsets = Offsets(JOINT_COUNT, TURN_SPEED)
         self._path_offsets = Offsets(1, WALK_SPEED)
         self._did, self._notes = Did.NOTHING, []
@@ -233,9 +234,9 @@ class Conditioner:
         held = away > CLOSE
         share = eased((away - self.settings.hold) / self.settings.relax)
         turns, place = self._relaxed(turns, place, share)
-        turns, place = self._approached(time, turns, place, held)
+        turns, place = self._approached(time, turns, place)
         self._was_held, self._out, self._rested = held, (turns, place), bool(share[0] == 1)
-        self._was_unplaced = self._is_unplaced(time)
+        self._was_unplaced, self._before = self._is_unplaced(time), time
         self._mention(held, bool(share[0] > 0))
         stands = self._ground.put(turns, place[0], self._jumped)
         frame = Frame(time, logarithm(turns), stands, self._did, tuple(self._notes))
@@ -261,22 +262,20 @@ class Conditioner:
         rise = standing_height(self.body.soles(turns)) - standing_height(self.body.soles(relaxed))
         return relaxed, place + np.array([0.0, rise, 0.0])
 
-    def _approached(
-        self, time: float, turns: np.ndarray, place: np.ndarray, held: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _approached(self, time: float, turns: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From where the body was held to where it is found, without a jump; or at once where that is too far."""
         if self._out is None:
             self._did |= Did.RESET
             return turns, place
-        found = self._was_held & ~held
-        placed = self._was_unplaced and not self._is_unplaced(time)
+        found = self._was_held & (self._turns.last > self._before)  # also if it is lost again by now
+        placed = self._was_unplaced and bool(self._path.last[0] > self._before)
         if found.any() or placed:
             self._begin_approach(time, found, placed, between(turns, self._out[0]), self._out[1] - place)
         return rotated(turns, self._turn_offsets.at(time)), place + self._path_offsets.at(time)
 
     def _is_unplaced(self, time: float) -> bool:
         """Whether the root's place is held at this moment."""
-        return bool(self._path.last[0] != NEVER and time - self._path.last[0] > CLOSE)
+        return bool(time - self._path.last[0] > CLOSE)
 
     def _begin_approach(
         self, time: float, found: np.ndarray, placed: bool, turned: np.ndarray, moved: np.ndarray

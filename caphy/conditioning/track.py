@@ -10,8 +10,11 @@ import numpy as np
 from caphy.conditioning.quaternions import between, rotated
 from caphy.conditioning.spline import spline_weights
 
-SAMPLES: Final = 16
-"""Most samples that are kept: at 30 per second and the default stiffness the 16th before weighs nothing."""
+SAMPLES: Final = (16, 64)
+"""Samples that are kept at least, and at most: at 30 per second and the default stiffness the 16th before weighs
+nothing."""
+BEFORE: Final = 0.45
+"""How far samples must reach back from the moment that is asked for [s]."""
 COAST: Final = 0.08
 """Time over which a joint that is no longer seen comes to a stop [s]."""
 STOOD: Final = 0.1
@@ -26,8 +29,9 @@ class Track:
     [s], of a sample that is fully trusted, are those of :func:`spline_weights`.
     """
 
-    def __init__(self, first: np.ndarray, stiffness: float, precision: float) -> None:
-        channels = len(first)
+    def __init__(self, first: np.ndarray, stiffness: float, precision: float, latency: float = 0.0) -> None:
+        """``latency``: how long after a moment it is asked for [s]."""
+        channels, self._span = len(first), latency + BEFORE
         self._stiffness, self._precision = stiffness, precision
         self._times = np.zeros(0)
         self._samples = np.zeros((0, *first.shape))
@@ -39,7 +43,8 @@ class Track:
 
     def add(self, time: float, sample: np.ndarray, trust: np.ndarray) -> None:
         """A sample of all channels; ``trust`` (C,) is 0 for those it does not show, up to 1."""
-        keep = slice(max(0, len(self._times) - SAMPLES + 1), None)
+        within = len(self._times) - int(np.searchsorted(self._times, time - self._span)) + 1
+        keep = slice(max(0, len(self._times) + 1 - min(max(within, SAMPLES[0]), SAMPLES[1])), None)
         self._times = np.append(self._times[keep], time)
         self._samples = np.concatenate([self._samples[keep], sample[None]])
         self._trust = np.concatenate([self._trust[keep], trust[None]])
@@ -82,7 +87,7 @@ class Track:
 
     def _weights(self, times: np.ndarray, precision: np.ndarray, time: float) -> np.ndarray:
         """The samples' weights at ``time``, as if the first had been there a moment before, too: of a body that begins
-        to be seen nobody knows the velocity, and standing is the calmest guess. Sixteen samples later it is nothing."""
+        to be seen nobody knows the velocity, and standing is the calmest guess. Half a second later it is nothing."""
         times = np.concatenate([[times[0] - STOOD], times])
         precision = np.concatenate([np.full((len(precision), 1), self._precision), precision], axis=1)
         weights = spline_weights(times, precision, self._stiffness, _coasting(time, times[-1]))

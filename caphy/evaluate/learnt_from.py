@@ -52,9 +52,10 @@ def learnt_from(folder: Path) -> Iterator[str]:
     given = _json(folder / OPTIONS)
     if given.get("scans"):
         yield given.get(CONTENTS, {}).get("scans", "")
-    if given.get("init"):  # what it went on from has learnt from scans of its own
+    begun = given.get("init") or given.get("transfer")
+    if begun:  # what it went on from, or began as, has learnt from scans of its own
         before = _json(folder / RECORD).get(INIT_SCANS)
-        yield from learnt_from(Path(os.path.normpath(folder.resolve() / given["init"]))) if before is None else before
+        yield from learnt_from(Path(os.path.normpath(folder.resolve() / begun))) if before is None else before
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from caphy.register.articulation import Figure, Placement
 from caphy.register.fit import BodyFit, ScanFigures
 
 FORMAT = "caphy-body-fit-1"
+SAME = 1e-4
+"""How far the person of a fit may lie from where it was fitted, on the body it is read with [m]."""
 
 
 def write_fit(fit: BodyFit, folder: Path, body: str) -> None:
@@ -65,8 +67,16 @@ def read_fit(path: Path, body: BodyModel) -> BodyFit:
                 f"{path}: {name} must have shape {shape} on this body, got {arrays[name].shape}; the fit was made with "
                 f"the body {str(arrays['body'])!r}: give the same with --body"
             )
+    figure = Figure(body, arrays["betas"], arrays["displacement"])
+    for rest, name in zip(figure.rest, ("rest_vertices", "rest_joints"), strict=True):
+        apart = np.abs(rest - arrays[name]).max()
+        if apart > SAME:  # of another sex: meshes have as many vertices
+            raise CaphyError(
+                f"{path}: on this body its person lies up to {1000 * apart:.0f} mm from where it was fitted; the fit "
+                f"was made with the body {str(arrays['body'])!r}: give the same with --body"
+            )
     return BodyFit(
-        figure=Figure(body, arrays["betas"], arrays["displacement"]),
+        figure=figure,
         names=tuple(str(name) for name in arrays["names"]),
         placements=tuple(Placement.of(p, t) for p, t in zip(arrays["poses"], arrays["transl"], strict=True)),
         figures=tuple(ScanFigures(*row) for row in arrays["figures"].tolist()),

@@ -258,3 +258,17 @@ def test_whatever_comes_frames_are_finite_and_in_time(steps, frame, translation)
     assert all(np.isfinite(f.poses).all() and np.isfinite(f.transl).all() for f in frames)
     assert all(np.linalg.norm(f.poses, axis=-1).max() <= np.pi + 1e-9 for f in frames)
     assert np.all(np.diff([f.time for f in frames]) > 0)
+
+
+@pytest.mark.parametrize(("rate", "latency"), [(30.0, 1.0), (30.0, 0.06), (120.0, 0.2), (240.0, 0.06)])
+def test_a_steady_motion_is_followed_at_any_rate_and_latency(rate, latency):
+    """A metre and a radian a second: what is shown is of its own moment, and not of the oldest that is remembered."""
+    conditioner, frames = Conditioner(Conditioning(latency=latency)), []
+    for i in range(round(2.5 * rate)):
+        pose = np.zeros((55, 3))
+        pose[0, 1] = i / rate
+        frames += conditioner.push(i / rate, pose, np.array([i / rate, 0.0, 0.0]))
+    late = [frame for frame in frames if frame.time > 1.2]
+    assert len(late) > 5
+    assert max(abs(frame.transl[0] - frame.time) for frame in late) < 2e-3
+    assert max(abs(frame.poses[0, 1] - frame.time) for frame in late) < 2e-3

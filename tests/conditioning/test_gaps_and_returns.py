@@ -160,3 +160,28 @@ def test_what_was_seen_just_before_a_leap_comes_out(latency):
         Conditioner(Conditioning(latency=latency)), times, np.repeat(crouching()[None], 60, 0), np.zeros((60, 3))
     )
     assert [f.time for f in frames] == pytest.approx(times)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.06])
+def test_somebody_found_far_off_for_a_single_pose_begins_anew(latency):
+    """A detector that flickers: one pose, nobody for three pictures, then steadily; between frames."""
+    conditioner, frames = Conditioner(Conditioning(latency=latency)), []
+    for i in range(180):
+        seen, time = i < 30 or i == 81 or i >= 85, i / RATE + 0.013 * (i > 0)
+        frames += conditioner.push(time, crouching() if seen else None, np.array([2.0, 0.0, 2.0]) * (i >= 60))
+    frames += conditioner.flush()
+    leap = int(steps(frames)[1].argmax())
+    assert steps(frames)[1][leap] > 2
+    assert frames[leap + 1].did & Did.RESET
+
+
+def test_a_place_that_becomes_known_late_is_gone_to_or_begins_anew():
+    for away, anew in ((0.3, False), (5.0, True)):
+        conditioner, frames = Conditioner(Conditioning()), []
+        for i in range(90):
+            frames += conditioner.push(i / RATE, crouching(), None if i < 30 else np.array([away, 0.0, 0.0]))
+        frames += conditioner.flush()
+        step = steps(frames)[1]
+        assert bool(frames[int(step.argmax()) + 1].did & Did.RESET) == anew
+        assert (step.max() < 0.5 * away) != anew
+        assert abs(frames[-1].transl[0] - frames[0].transl[0] - away) < 0.01

@@ -13,7 +13,7 @@ from small_run import SPLIT, garments, small_run, write_networks
 from caphy.errors import CaphyError
 from caphy.evaluate.dressed import Subject
 from caphy.evaluate.evaluation import evaluate
-from caphy.evaluate.learnt_from import INIT_SCANS, SCANS_DIGEST, learnt_from, require_same_scans
+from caphy.evaluate.learnt_from import INIT_SCANS, OPTIONS, SCANS_DIGEST, learnt_from, require_same_scans
 from caphy.evaluate.rows import TEMPLATE, Row, given_row
 from caphy.io.bundle import MANIFEST
 from caphy.scan.mesh_files import MeshFile, write_ply
@@ -89,6 +89,17 @@ def test_what_it_went_on_from_is_told_by_its_record_too(world, tmp_path):
     assert not list(learnt_from(folder))
     (folder / "run.json").write_text(json.dumps({INIT_SCANS: ["b"]}))
     assert list(learnt_from(folder)) == ["b"]
+
+
+def test_what_a_network_began_as_is_told_like_what_it_went_on_from(world, tmp_path):
+    """By --transfer it takes the weights over too."""
+    run, _ = world
+    write_networks(tmp_path / "first", run, learnt_from="c")
+    write_networks(tmp_path / "begun", run, learnt_from=None)
+    folder = tmp_path / "begun" / "upper"
+    told = json.loads((folder / OPTIONS).read_text())
+    (folder / OPTIONS).write_text(json.dumps(told | {"transfer": "../../first/upper"}))
+    assert list(learnt_from(folder)) == ["c"]
 
 
 @pytest.mark.parametrize(

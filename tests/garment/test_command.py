@@ -80,6 +80,14 @@ def test_nothing_that_is_read_is_replaced(tmp_path, capsys):
     assert mesh.read_bytes() == text and (made.read_bytes(), poses.read_bytes()) == before
 
 
+def test_poses_of_a_camera_are_not_simulated(tmp_path, capsys):
+    made, filmed = tmp_path / "shorts.npz", tmp_path / "filmed.npz"
+    assert main(["garment", "make", "shorts", "--edge-length", "0.04", "-o", str(made)]) == 0
+    write_poses(replace(procedural_motion(0, 0.2), frame="camera"), filmed)
+    assert main(["simulate", str(made), str(filmed), "-o", str(tmp_path / "o.npz")]) == 2
+    assert "these poses are in a camera's frame" in capsys.readouterr().err
+
+
 def test_numbers_of_a_mesh_that_mean_nothing_are_refused(tmp_path, capsys):
     mesh = tmp_path / "mine.obj"
     trimesh.creation.cylinder(0.3, 0.5).export(mesh)

@@ -146,6 +146,9 @@ def test_a_fit_comes_back_from_disk(fitted, tmp_path):
     np.testing.assert_allclose(read.vertices(2), fitted[0].vertices(2), atol=1e-6)  # a micrometre
     with pytest.raises(CaphyError, match="--body"):
         read_fit(tmp_path / "body.npz", default_body("fine"))
+    other = replace(default_body(), v_template=1.01 * default_body().v_template)  # as of another sex
+    with pytest.raises(CaphyError, match=r"lies up to \d+ mm from where it was fitted.*give the same with --body"):
+        read_fit(tmp_path / "body.npz", other)
 
 
 def test_a_scan_of_rubbish_is_named_and_the_rest_goes_on(fitted, taken, tmp_path, monkeypatch):

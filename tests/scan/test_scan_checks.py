@@ -13,10 +13,11 @@ import trimesh
 
 from caphy.body.bundled import default_body
 from caphy.capture.poses import a_pose
+from caphy.cli import main
 from caphy.commands.fit_scans import check_scans
 from caphy.errors import CaphyError
 from caphy.scan.checks import check_scan, check_set, usable
-from caphy.scan.mesh_files import read_mesh_file
+from caphy.scan.mesh_files import MeshFile, read_mesh_file, write_ply
 from caphy.scan.scan import LOWER, UNKNOWN, UPPER, Scan
 from caphy.scan.scan_set import ScanSet, write_scan_set
 
@@ -144,6 +145,20 @@ def test_the_check_of_a_fit_reads_each_scan_twice(bare, tmp_path, monkeypatch):
     assert json.loads((tmp_path / "run" / "check.json").read_text())["parser"] == ("colour" if bare else "labels")
     for scan, written in zip(scans, ScanSet.read(tmp_path / "run" / "scans"), strict=True):
         assert written.labels is None if bare else (written.labels == scan.labels).all()
+
+
+def test_labels_that_are_not_asked_for_refuse_no_scan(tmp_path, capsys):
+    """Empty ones, and a PLY's property called label that means something else, where colours are to be gone by."""
+    scans = [_scan(name=f"s{i}", labels=np.full(len(_person()[0]), 255, np.uint8)) for i in range(3)]
+    folder = _set(tmp_path / "set", scans).folder
+    with pytest.raises(CaphyError, match="no scan"):
+        check_scans(folder, tmp_path / "run", None)
+    check_scans(folder, tmp_path / "run", "colour")
+    assert "3 of 3 scans can be used" in capsys.readouterr().out
+    for scan in scans:
+        write_ply(folder / f"{scan.name}.ply", MeshFile(scan.vertices, scan.faces, scan.colours, 0 * scan.labels + 7))
+    main(["segment", str(folder), "--parser", "colour"])
+    assert "labels must be" not in "".join(capsys.readouterr())
 
 
 def test_somebody_of_another_size_is_remarked_on(tmp_path):
