@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from caphy.errors import CaphyError
 from caphy.io.bundle import AvatarBundle, SkinnedMesh
 from caphy.io.poses import PoseSequence
 from service.engine import GarmentEngine
@@ -40,12 +39,7 @@ class DressedMotion:
 def dressed_motion(bundle: AvatarBundle, motion: PoseSequence) -> DressedMotion:
     """The avatar on a motion, resampled to its frame rate, root for root; raises CaphyError where the world is a
     camera's."""
-    if motion.frame == "camera":
-        raise CaphyError(
-            f"{motion.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; "
-            "convert them to world coordinates first"
-        )
-    motion = motion.to_y_up().about(bundle.joints[0]).resample(bundle.fps)
+    motion = motion.require_world().to_y_up().about(bundle.joints[0]).resample(bundle.fps)
     poses, transl = motion.poses.astype(np.float32), motion.transl.astype(np.float32)
     vertices = {}
     for garment in bundle.garments:

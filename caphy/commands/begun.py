@@ -55,7 +55,9 @@ def exporting(name: str, *runs: Path) -> str:
 
 def interrupted(folder: Path) -> str:
     """What is left of a training that was stopped by hand, in words."""
-    if (folder / "checkpoint.safetensors").exists():
+    from caphy.training.checkpoint import NAME
+
+    if (folder / NAME).exists():
         return "interrupted; go on from the last checkpoint with --resume"
     return "interrupted before the first checkpoint; nothing was kept, so begin again"
 

@@ -59,6 +59,7 @@ def new(command: New) -> None:
     import numpy as np
 
     from caphy.challenge.hidden import HIDDEN
+    from caphy.challenge.sealed import NAME
     from caphy.challenge.world import make
     from caphy.measure.track import FEWEST
     from caphy.processes import cores
@@ -70,6 +71,8 @@ def new(command: New) -> None:
             f"--points must be {FEWEST} or more, without which a frame counts as missing, got {command.points}"
         )
     writable_folder(command.output)
+    if (command.output / "model.json").exists() and not (command.output / NAME).exists():
+        raise CaphyError(f"{command.output}: holds a model.json that is no challenge's and would be replaced")
     if (command.output / "diagnosis").exists() and not _is_there(command):
         raise CaphyError(
             f"{command.output / 'diagnosis'}: belongs to another challenge, and 'caphy challenge reveal' would "
@@ -98,8 +101,6 @@ def _written(command: New, world: World) -> None:
     from caphy.io.measurements import write_measurement
 
     command.output.mkdir(parents=True, exist_ok=True)
-    if (command.output / "model.json").exists() and not (command.output / NAME).exists():
-        raise CaphyError(f"{command.output}: holds a model.json that is no challenge's and would be replaced")
     parts = {"train": world.train, "base": world.base, "held_out": world.held_out}
     paths: dict[str, list[str]] = {part: [] for part in parts}
     for part, measurements in parts.items():
@@ -107,8 +108,8 @@ def _written(command: New, world: World) -> None:
             path = command.output / f"{part}_{number}.npz"
             write_measurement(measurement, path)
             paths[part].append(str(path))
+    digest = sealed_in(command.output, world.answer)  # first: without it the model would be taken for one's own
     write_text(command.output / "model.json", world.model.to_json())
-    digest = sealed_in(command.output, world.answer)
     files = [path for found in paths.values() for path in found]
     print("\n".join(map(str, [command.output / "model.json", *files, command.output / NAME])))
     print(f"sealed answer, SHA-256 {digest}")

@@ -27,7 +27,6 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
     Raises:
         CaphyError: nothing can be used.
     """
-    from dataclasses import replace
 
     from caphy.io.places import write_text
     from caphy.scan.checks import check_set, usable
@@ -35,7 +34,7 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
 
     scans = ScanSet.read(folder)
     if parser not in (None, "labels"):  # the set's own labels do not count, whatever is wrong with them
-        scans = replace(scans, labels=None, labels_alone=True)
+        scans = scans.without_labels()
     bare: set[str] = set()
 
     def note_labels(scan: Scan) -> None:

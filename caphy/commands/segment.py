@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
@@ -99,7 +99,7 @@ def _segment_all(
     from caphy.scan.checks import require_size
     from caphy.scan.scan import LOWER, UPPER
 
-    scans = scans if of_labels else replace(scans, labels=None, labels_alone=True)
+    scans = scans if of_labels else scans.without_labels()
     failed: dict[str, str] = {}
     foreign: list[str] = []
     started, fresh = monotonic(), 0
@@ -142,7 +142,7 @@ def _method(command: Segment, scans: ScanSet) -> Callable[[Scan], np.ndarray]:
         from caphy.scan.colour_model import ColourModel
 
         print("learning the subject's colours ...", flush=True)
-        model = ColourModel.fit(_some(replace(scans, labels=None, labels_alone=True)))
+        model = ColourModel.fit(_some(scans.without_labels()))
         return lambda scan: smoothed_labels(scan, model.votes(scan))
     from caphy.scan.label_layouts import find_layout
     from caphy.scan.parsers import OnnxParser

@@ -84,13 +84,7 @@ def _simulate(command: Simulate, folder: Path) -> None:
     kept = Kept(folder, command.effect_file)  # of effects that are registered by now
     if not RATES[0] <= command.fps <= RATES[1]:
         raise CaphyError(f"--fps must lie between {RATES[0]:g} and {RATES[1]:g}, got {command.fps:g}")
-    poses = read_poses(command.poses)
-    if poses.frame == "camera":
-        raise CaphyError(
-            f"{command.poses}: these poses are in a camera's frame, so nobody knows which way cloth falls; give poses "
-            "in the world's"
-        )
-    poses = poses.resample(command.fps)
+    poses = read_poses(command.poses).require_world().resample(command.fps)
     if command.seconds is not None:
         poses = poses[: round(command.seconds * command.fps) + 1]
     motion = BodyMotion(body, poses, garment)

@@ -112,7 +112,7 @@ def _clips(options: Validate, settings: dict, fps: float) -> list[PoseSequence]:
     from caphy.io.poses.parts import file_of, read_part
 
     if options.poses:
-        clips = [read_poses(path) for path in options.poses]
+        clips = [read_poses(path).require_world() for path in options.poses]
         for clip in clips:
             if len(clip.resample(fps)) < 2:
                 raise CaphyError(f"{clip.source}: must have 2 frames or more at {fps:g} fps; give a longer motion")

@@ -35,6 +35,9 @@ def convert_take(
     meshes = sorted((take / "Meshes_pkl").glob("mesh-f*.pkl"))[::every]
     if not meshes:
         raise CaphyError(f"{take}: holds no Meshes_pkl/mesh-f*.pkl; give the folder of one take of 4D-DRESS")
+    strays = {path.stem for path in folder.glob("*.ply")} - {f"f{_frame(path)}" for path in meshes}
+    if strays:
+        raise CaphyError(f"{folder}: holds other scans ({', '.join(sorted(strays)[:3])}); give an empty folder")
     scans, frames = [], []
     for path in meshes:
         try:
@@ -43,9 +46,6 @@ def convert_take(
         except CaphyError as error:
             say(str(error))
             del scans[len(frames) :]
-    strays = {path.stem for path in folder.glob("*.ply")} - {scan.name for scan in scans}
-    if strays:
-        raise CaphyError(f"{folder}: holds other scans ({', '.join(sorted(strays)[:3])}); give an empty folder")
     if not scans:
         raise CaphyError(f"{take}: none of its {len(meshes)} frames can be read; see the messages above")
     return write_scan_set(folder, scans, take.name, _poses(take, frames))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -88,6 +88,10 @@ class ScanSet:
             label_numbers=None if labels else _numbers(folder, given.get("label_numbers")),
             labels_alone=labels is not None,
         )
+
+    def without_labels(self) -> ScanSet:
+        """The same set, of whose own labels nobody asks, those in its meshes included."""
+        return replace(self, labels=None, labels_alone=True)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -64,7 +64,8 @@ def find_poses(paths: Iterable[Path], say: Callable[[str], None] = print) -> lis
         elif not inside:
             raise CaphyError(f"{path}: holds no pose file ({', '.join(POSE_SUFFIXES)})")
         files += inside
-    return [each for file in files for each in continuous_parts(_upright(replace(read_poses(file), source=str(file))))]
+    clips = (replace(read_poses(file), source=str(file)).require_world() for file in files)
+    return [each for clip in clips for each in continuous_parts(clip)]
 
 
 def _is_without_poses(path: Path) -> bool:
@@ -74,15 +75,6 @@ def _is_without_poses(path: Path) -> bool:
             return not any(re.search("pose|orient|rot|theta|smpl", name, re.IGNORECASE) for name in archive.namelist())
     except (OSError, BadZipFile):
         return False
-
-
-def _upright(sequence: PoseSequence) -> PoseSequence:
-    if sequence.frame == "camera":
-        raise CaphyError(
-            f"{sequence.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; give "
-            "poses in the world's, or leave the file out"
-        )
-    return sequence
 
 
 def continuous_parts(sequence: PoseSequence, least: float = 0.5) -> list[PoseSequence]:

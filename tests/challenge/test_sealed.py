@@ -127,3 +127,10 @@ def test_clouds_hold_points_enough_to_be_registered(tmp_path, capsys):
 def test_noise_must_be_a_number(tmp_path, capsys):
     assert main(["challenge", "new", "--seed", "1", "--noise", "nan", "-o", str(tmp_path)]) == 2
     assert "must not be negative, got 1 and nan" in capsys.readouterr().err
+
+
+def test_a_model_of_ones_own_is_not_written_over(tmp_path, capsys):
+    (tmp_path / "model.json").write_text("mine")
+    assert main(["challenge", "new", "--seed", "3", "-o", str(tmp_path)]) == 2
+    assert "holds a model.json that is no challenge's" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["model.json"]

@@ -214,6 +214,15 @@ class PoseSequence:
         found += [Jump(int(t) + 1, "root", float(linear[t]), "m/s") for (t,) in np.argwhere(linear > max_linear)]
         return sorted(found, key=lambda jump: jump.frame)
 
+    def require_world(self) -> PoseSequence:
+        """The same; raises :class:`CaphyError` where these poses are in a camera's frame."""
+        if self.frame == "camera":
+            raise CaphyError(
+                f"{self.source}: these poses are in a camera's frame, so nobody knows which way cloth falls; convert "
+                "them to world coordinates first ('caphy poses condition'), or leave the file out"
+            )
+        return self
+
     def require_continuous(self) -> PoseSequence:
         """This motion; raises :class:`CaphyError` naming the first jumps if there are any."""
         found = self.jumps()
