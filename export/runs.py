@@ -87,6 +87,10 @@ def _measured(folder: Path, digest: str, say: Callable[[str], None]) -> dict[str
     if beside and beside.pop("network_sha256", None) != digest:
         say(f"note: {folder / VALIDATION} is of another network and left out; measure this one with 'caphy validate'")
         beside = {}
+    wrong = [key for key, value in _numbers(beside) if not math.isfinite(value)]
+    if wrong:
+        say(f"note: {folder / VALIDATION} is left out, {wrong[0]} in it is not finite; measure with 'caphy validate'")
+        beside = {}
     return last | ({"beside_solver": beside} if beside else {})
 
 

@@ -28,6 +28,7 @@ from caphy.garment.template import Garment, read_npz, write_npz
 from caphy.io.places import write_bytes, write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.poses.canonical import write_poses
+from caphy.pipeline.stage import fingerprint
 
 
 @dataclass(frozen=True)
@@ -126,13 +127,19 @@ def _small(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32) if values.dtype == np.float64 else values
 
 
+_CONTENT = "content_of_the_clips"
+"""Beside the folder that they were in, which may have been moved."""
+
+
 def _claim(plan: Plan, folder: Path, truth: Path) -> bool:
     """Write the plan down, or make sure that the folder's is the same; whether it was new."""
-    path, text = truth / "plan.json", json.dumps(asdict(plan), indent=1)
+    path, told = truth / "plan.json", asdict(plan)
+    told[_CONTENT] = None if plan.clips is None else fingerprint(Path(plan.clips))
     if not path.is_file():
-        write_text(path, text)
+        write_text(path, json.dumps(told, indent=1))
         return True
-    if _read(path) != json.loads(text):
+    before = _read(path)
+    if _CONTENT not in before or before | {"clips": plan.clips} != json.loads(json.dumps(told)):
         raise CaphyError(f"{folder}: holds another session ({path}); choose another folder, or delete this one")
     return False
 

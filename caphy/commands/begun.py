@@ -14,6 +14,7 @@ import numpy as np
 from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.evaluate.learnt_from import CONTENTS, INIT_SCANS, OPTIONS, RECORD, SCANS_DIGEST, learnt_from
+from caphy.io.bundled import OURS, path_of, recorded
 from caphy.io.places import write_text
 
 if TYPE_CHECKING:
@@ -27,10 +28,10 @@ GARMENT, MODEL = "garment.npz", "model.json"
 
 
 def option(kind: Any, value: Any, folder: Path) -> Any:
-    """An option read from a folder's JSON, where paths are text, maybe relative to it, and tuples are lists."""
+    """An option read from a folder's JSON, where paths are text (:func:`caphy.io.bundled.path_of`) and tuples lists."""
     if isinstance(value, list):
         return tuple(option(kind, one, folder) for one in value)
-    return Path(os.path.normpath(folder / value)) if isinstance(value, str) and "Path" in str(kind) else value
+    return path_of(value, folder) if isinstance(value, str) and "Path" in str(kind) else value
 
 
 def own_body(run: Path) -> Path | None:
@@ -64,7 +65,7 @@ def interrupted(folder: Path) -> str:
 
 def told(options: Train) -> dict[str, Any]:
     """Options ready for JSON. Where the folder lies in the run that ``--scans`` names, paths within that run are
-    relative to the folder, so that the run may be moved."""
+    relative to the folder, so that the run may be moved; what comes with caphy is told by name."""
     folder, run = options.output.resolve(), None if options.scans is None else options.scans.resolve()
 
     def plain(value: Any) -> Any:
@@ -72,6 +73,8 @@ def told(options: Train) -> dict[str, Any]:
             return [plain(one) for one in value]
         if not isinstance(value, Path):
             return value
+        if (ours := recorded(value)) is not None:
+            return ours
         within = run is not None and folder.is_relative_to(run) and value.resolve().is_relative_to(run)
         return os.path.relpath(value.resolve(), folder) if within else str(value.resolve())
 
@@ -90,7 +93,7 @@ def copied(folder: Path, to: Path) -> str:
     def moved(value: Any) -> Any:
         if isinstance(value, list):
             return [moved(one) for one in value]
-        if not isinstance(value, str) or Path(value).is_absolute():
+        if not isinstance(value, str) or Path(value).is_absolute() or value.startswith(OURS):
             return value
         path = os.path.normpath(folder / value)
         return os.path.relpath(path, to) if run is not None and to.is_relative_to(run) else path
@@ -102,17 +105,32 @@ def copied(folder: Path, to: Path) -> str:
 def contents(options: Train, trained: Sequence[PoseSequence]) -> dict[str, str]:
     """Digests of what options name by path alone: motions, the code of own effects, the body, the points of scans."""
     from caphy.body.model import BodyModel
-    from caphy.io.poses.parts import file_of
     from caphy.kept import code, digest
     from caphy.register.points import read_points
 
-    read = [(clip.poses, clip.transl, clip.fps) for clip in trained if Path(file_of(clip.source)).is_file()]
-    found = {"motions": digest(read), "effect files": digest(code(options.effect_file))}
+    found = {"motions": _motions(trained), "effect files": digest(code(options.effect_file))}
     if options.body is not None:
         found["arrays of the body"] = digest(BodyModel.load(options.body))
     if options.scans is not None:
         found["scans"] = digest(read_points(options.scans, "train"))
     return found
+
+
+def _motions(trained: Sequence[PoseSequence]) -> str:
+    from caphy.io.poses.parts import file_of
+    from caphy.kept import digest
+
+    return digest([(clip.poses, clip.transl, clip.fps) for clip in trained if Path(file_of(clip.source)).is_file()])
+
+
+def require_same_motions(folder: Path, trained: Sequence[PoseSequence]) -> None:
+    """Raise CaphyError unless the training in a folder was on these motions."""
+    was = json.loads((folder / OPTIONS).read_text()).get(CONTENTS, {}).get("motions")
+    if was is not None and was != _motions(trained):
+        raise CaphyError(
+            f"{folder}: was trained on other motions than these {len(trained)}; give the same with --poses, in the "
+            "same order, wherever they lie"
+        )
 
 
 def require_same(options: Train, garment: Garment, model: Model, trained: Sequence[PoseSequence]) -> None:

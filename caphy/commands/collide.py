@@ -28,6 +28,8 @@ class Collide:
     that was supervised as hidden by another comes before it in any case."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the fine-tuned trainings, each under its own folder's name."""
+    poses: tuple[Path, ...] = ()
+    """The motions that the trainings are on, pose files or folders, where they lie elsewhere by now."""
     epochs: int = 10
     """Passes through the scans' poses, each with as many steps on random poses."""
     seed: int = 0
@@ -69,7 +71,7 @@ def prepare(options: Collide) -> Collider:
     for folder, name in zip(options.trainings, names, strict=True):
         if folder.resolve() == (options.output / name).resolve():
             raise CaphyError(f"{options.output}: {folder} lies there, which is only read; give another folder with -o")
-    trainers = [reopen(folder) for folder in options.trainings]
+    trainers = [reopen(folder, options.poses) for folder in options.trainings]
     order = sorted(range(len(names)), key=lambda i: not _hidden(trainers[i]))
     folders, names = [options.trainings[i] for i in order], [names[i] for i in order]
     collider = Collider(options.output, names, [trainers[i] for i in order], options.epochs, options.seed)

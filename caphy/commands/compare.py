@@ -89,11 +89,11 @@ def write(comparisons: Sequence[Comparison], curves: Sequence[dict], title: str,
 def load_model(name: str, effect_files: Sequence[Path] = ()) -> Model | AvatarBundle:
     """The physics model of a JSON file or name, or the avatar in a folder or that comes along; raises
     :class:`CaphyError`."""
-    from caphy.commands.bundled import bundled
     from caphy.effects.model import Model
     from caphy.effects.own import use_file
     from caphy.effects.presets import fabric_model, snug_model
     from caphy.io.bundle import MANIFEST, read_bundle
+    from caphy.io.bundled import bundled
     from caphy.material.fabrics import fabric_names
 
     path, named = Path(name), name in ("snug", *fabric_names())

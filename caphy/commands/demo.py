@@ -43,8 +43,8 @@ def main(arguments: list[str]) -> None:
     """Run ``caphy demo`` with the arguments after it."""
     command = tyro.cli(Demo, prog="caphy demo", args=arguments)
 
-    from caphy.commands.bundled import bundled
     from caphy.io.bundle import read_bundle
+    from caphy.io.bundled import bundled
     from service.client import Client
     from service.settings import BUNDLED_AVATARS
 

@@ -125,8 +125,8 @@ def _lines(rows: list[tuple[str, ...]]) -> list[str]:
 
 def _histories(path: Path) -> list[str]:
     """Lines about a model's history, or of each garment's of an avatar."""
-    from caphy.commands.bundled import bundled
     from caphy.effects.model import Model
+    from caphy.io.bundled import bundled
 
     path = bundled(path)
     if not (path / MANIFEST).is_file():

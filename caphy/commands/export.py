@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from caphy.commands.bundled import bundled
 from caphy.commands.following import following
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, require_place
+from caphy.io.bundled import bundled
 from caphy.io.places import writable_file, writable_folder, write_bytes
 
 if TYPE_CHECKING:

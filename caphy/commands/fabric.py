@@ -73,6 +73,9 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
 
     base = _base(options)
     subject = Subject.read(options.run)
+    if options.alternations:
+        for kind in (kind for kind in options.garments if kind in subject.garments):
+            _require_trainable(options.run, kind)
     points = read_points(options.run, "train")
     document: dict[str, Any] = {"format": "caphy-fabric-1", "garments": {}, "failed": {}}
     plots, sentences = {}, {}
@@ -225,6 +228,18 @@ def _network(folder: Path, subject: Subject, kind: str) -> Guess | None:
         return None
     wearing = replace(subject, garments={kind: subject.garments[kind]}).wearing(folder)
     return lambda worn: wearing.held(worn.still.pose, worn.still.transl).garments[kind][0]
+
+
+def _require_trainable(run: Path, kind: str) -> None:
+    """Raise CaphyError where alternations, which come after rounds that may take hours, could not be."""
+    from caphy.commands.begun import OPTIONS
+    from caphy.commands.onward import require_own
+
+    if not (run / TRAINED / kind / OPTIONS).is_file():
+        raise CaphyError(
+            f"{run / TRAINED / kind}: --alternations trains on what 'caphy train' wrote there, and it is no such folder"
+        )
+    require_own(run / ALTERNATED / kind)
 
 
 def _trained_on(options: FabricCommand, subject: Subject, kind: str, model: Model, number: int) -> Guess | None:

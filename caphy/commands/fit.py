@@ -106,6 +106,12 @@ def _check(options: Fit) -> None:
     missing = [path for path in (*options.poses, *([options.vgg] if options.vgg else [])) if not path.exists()]
     if missing:
         raise CaphyError(f"{missing[0]}: there is no such file or folder")
+    for path in options.poses:
+        if options.output.resolve().is_relative_to(path.resolve()):
+            raise CaphyError(
+                f"--poses {path}: must not hold the folder of the run, {options.output}, whose own files would be "
+                "taken for motions; give the folder of the motions alone, or another with -o"
+            )
     if options.output.resolve().is_relative_to(options.scans.resolve()):
         raise CaphyError(f"{options.output}: must not lie within the folder of the scans, which is only read")
     if options.scans.resolve().is_relative_to((options.output / SCANS).resolve()):

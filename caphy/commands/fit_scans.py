@@ -62,8 +62,10 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
     print(f"{len(kept)} of {len(scans)} scans can be used")
 
 
-def segment_scans(run: Path, layout: str) -> None:
+def segment_scans(run: Path, parser: str | None, layout: str) -> None:
     """Write ``RUN/labels``, and into ``segment.json`` which garments are worn and which scans show no clothes.
+
+    parser: as given to :func:`check_scans`, which kept labels only where they are to be believed.
 
     Raises:
         CaphyError: no scan could be segmented, or none shows clothes.
@@ -74,7 +76,8 @@ def segment_scans(run: Path, layout: str) -> None:
     from caphy.scan.scan_set import ScanSet
 
     labels = run / LABELS
-    command = segment.Segment(run / SCANS, labels, read(run, CHECKED)["parser"], layout)
+    chosen = parser or ("colour" if ScanSet.read(run / SCANS)[0].labels is None else "labels")
+    command = segment.Segment(run / SCANS, labels, chosen, layout)
     left_out = segment.label(command)
     shown: dict[str, int] = dict.fromkeys(KINDS, 0)
     scans = ScanSet.read(run / SCANS, labels)
@@ -141,7 +144,7 @@ def _write_kept(scans: ScanSet, kept: Sequence[int], folder: Path, with_labels: 
     if poses is not None:
         index = list(kept)
         poses = replace(poses, poses=poses.poses[index], transl=poses.transl[index])
-    write_scan_set(folder, chosen, scans.name, poses)
+    write_scan_set(folder, chosen, SCANS, poses)  # whatever it was called, later stages follow from the same
 
 
 def _reasons(findings: Sequence[Finding], severe: bool) -> dict[str, str]:

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from caphy.commands.fit_scans import CHECKED, LABELLED, LABELS, SCANS, check_scans, read, segment_scans
+from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD
+from caphy.commands.fit_scans import CHECKED, KINDS, LABELLED, LABELS, SCANS, check_scans, read, segment_scans
+from caphy.commands.validate import REPORT as VALIDATION
 from caphy.errors import CaphyError
 from caphy.pipeline.ledger import Ledger
 from caphy.pipeline.processes import run_shared
@@ -20,6 +22,11 @@ FIRST = 0.6
 """Share of the training that comes before the fabric is fitted."""
 SUBJECT = ("body.npz", "upper.npz", "lower.npz", "subject_body.npz", "points", "split.json", LABELLED)
 """What the registration leaves that training depends on."""
+STAGES = ("train", "fabric", "collided")
+"""Folders of trainings, in order."""
+NETWORK = "network.safetensors"
+TRAINED = (NETWORK, GARMENT, MODEL, OPTIONS, RECORD)
+"""What a training leaves that later stages depend on; a checkpoint, and what 'caphy validate' adds, is not of it."""
 
 
 @dataclass(frozen=True)
@@ -58,38 +65,44 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
     beyond: what of the scans lies elsewhere than in their folder.
     """
     run = plan.run
-    sources, labelled = (run / SCANS, run / CHECKED), (run / SCANS, run / LABELS, run / LABELLED)
+    labelled = (run / SCANS, run / LABELS, run / LABELLED)
     subject = tuple(run / name for name in SUBJECT)
     seconds, timed = (60 * plan.minutes, True) if plan.steps is None else (0.3 * plan.steps, False)
     training = {"fabric": plan.fabric, "seed": plan.seed, "device": plan.device}
     fabrics = tuple(run / name for name in (FABRIC, "fabric_upper.json", "fabric_lower.json"))
-    networks = tuple(run / name for name in ("train", "fabric", "collided"))
+    trained, refined, collided = (networks(run, stage) for stage in STAGES)
+    body, parser = _files(plan.body), _files(plan.parser)
+    validations = tuple(run / stage / kind / VALIDATION for stage in STAGES for kind in KINDS)
+    chosen, layout = "its own" if parser else plan.parser, "its own" if _files(plan.layout) else plan.layout
+    told = {"body": None if body else plan.body}  # of files the content counts, wherever they lie
     made = [
         Stage(
             "check", "checking the scans", lambda: check_scans(plan.scans, run, plan.parser),
-            inputs=(plan.scans, *beyond), outputs=sources, options={"parser": plan.parser}, seconds=1 + 0.13 * count,
+            inputs=(plan.scans, *beyond), outputs=(run / SCANS, run / CHECKED),
+            options={"parser": chosen}, seconds=1 + 0.13 * count,
         ),
         Stage(
-            "segment", "telling skin, upper and lower garment apart", lambda: segment_scans(run, plan.layout),
-            inputs=(*sources, *_files(plan.parser, plan.layout)), outputs=labelled[1:],
-            options={"layout": plan.layout, "parser": plan.parser}, seconds=2 + 0.8 * count,
+            "segment", "telling skin, upper and lower garment apart",
+            lambda: segment_scans(run, plan.parser, plan.layout),
+            inputs=(run / SCANS, *parser, *_files(plan.layout)), outputs=labelled[1:],
+            options={"parser": chosen, "layout": layout if parser else None}, seconds=2 + 0.8 * count,
         ),
         Stage(
             "body", "finding the body under the clothes", lambda: _body(plan),
-            inputs=(*labelled, *_files(plan.body)), outputs=(run / "body.npz", run / "body.json"),
-            options={"body": plan.body}, seconds=5 + 1.6 * count,
+            inputs=(*labelled, *body), outputs=(run / "body.npz", run / "body.json"), options=told,
+            seconds=5 + 1.6 * count,
         ),
         Stage(
             "points", "splitting the scans", lambda: _points(plan),
-            inputs=(*labelled, run / "body.npz"),
+            inputs=(*labelled, run / "body.npz", *body),
             outputs=(run / "points", run / "split.json", run / "subject_body.npz"),
-            options={"hold_out": plan.hold_out, "seed": plan.seed, "body": plan.body}, seconds=1 + 0.1 * count,
+            options=told | {"hold_out": plan.hold_out, "seed": plan.seed}, seconds=1 + 0.1 * count,
         ),
         Stage(
             "garments", "choosing the garments' templates", lambda: _garments(plan),
-            inputs=(*labelled, run / "body.npz", run / "split.json"), outputs=(run / "garments.json",),
+            inputs=(*labelled, run / "body.npz", run / "split.json", *body), outputs=(run / "garments.json",),
             whole=lambda: all((run / f"{kind}.npz").is_file() for kind in kinds(run)),
-            options={"body": plan.body, "fabric": plan.fabric}, seconds=220,
+            options=told | {"fabric": plan.fabric}, seconds=220,
         ),
         Stage(
             "train", "training on physics and scans", lambda: _train(plan),
@@ -98,41 +111,46 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
         ),
         Stage(
             "fabric", "fitting the fabric to the scans", lambda: _fabric(plan),
-            inputs=(*subject, run / "train"), outputs=(run / FABRIC,), whole=lambda: _has_models(run),
+            inputs=(*subject, *trained), outputs=(run / FABRIC,), whole=lambda: _has_models(run),
             options={"fabric": plan.fabric, "rounds": plan.fabric_rounds, "scans": plan.fabric_scans},
             seconds=30 + min(count, plan.fabric_scans) * (50 + 10 * plan.fabric_rounds), may_fail=True,
         ),
         Stage(
             "refine", "training on, under the fabric found if there is one", lambda: _refine(plan),
-            inputs=(*subject, *plan.poses, run / "train", *fabrics), outputs=(run / "fabric",),
+            inputs=(*subject, *plan.poses, *trained, *fabrics), outputs=(run / "fabric",),
             options=training | {"budget": plan.shared(1 - FIRST)}, seconds=(1 - FIRST) * seconds, timed=timed,
         ),
         Stage(
             "collide", "fine-tuning against collisions of garments", lambda: _collide(plan),
-            inputs=(*networks[:2], *subject), outputs=(run / "collided",),
+            inputs=(*trained, *refined, *subject, *plan.poses), outputs=(run / "collided",),
             options={"epochs": plan.collision_epochs, "seed": plan.seed},
             seconds=0.9 * max(0.3 * count, 25) * plan.collision_epochs,
             may_fail=True,
         ),
         Stage(
             "export", "writing the avatar", lambda: _export(plan),
-            inputs=(*networks, run / "subject_body.npz"), outputs=(run / AVATAR,),
+            inputs=(*trained, *refined, *collided, run / "subject_body.npz", *validations), outputs=(run / AVATAR,),
             options={"licence": plan.licence}, seconds=5,
         ),
         Stage(
             "evaluate", "holding it against the scans left out of training", lambda: _evaluate(plan),
-            inputs=(*labelled, *subject, run / FABRIC, *networks, run / "rows", *_files(plan.vgg)),
+            inputs=(*labelled, *subject, run / FABRIC, *trained, *refined, *collided, run / "rows", *_files(plan.vgg)),
             outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=5 + 0.9 * count,
             may_fail=True,
         ),
     ]  # fmt: skip
-    told = tuple(run / name for name in (CHECKED, "body.json", FABRIC, "evaluation.json", "garments.json", AVATAR))
+    shown = tuple(run / name for name in (CHECKED, "body.json", FABRIC, "evaluation.json", "garments.json", AVATAR))
     records = tuple(Ledger(run).record(stage) for stage in made)  # what stages took, and why they failed
     report = Stage(
         "report", "writing the page", lambda: _report(plan),
-        inputs=(*labelled, *subject, *told, *records), outputs=(run / PAGE,), seconds=3, may_fail=True,
+        inputs=(*labelled, *subject, *shown, *records), outputs=(run / PAGE,), seconds=3, may_fail=True,
     )  # fmt: skip
     return [*made, report]
+
+
+def networks(run: Path, stage: str) -> tuple[Path, ...]:
+    """What a stage's trainings leave to those after it."""
+    return tuple(run / stage / kind / name for kind in KINDS for name in TRAINED)
 
 
 def kinds(run: Path) -> list[str]:
@@ -203,8 +221,8 @@ def _train(plan: Plan) -> None:
 def _like_the_default(plan: Plan, kind: str) -> bool:
     """Whether the default avatar wears anything like a garment, so that its training need not begin from nothing."""
     from caphy.body.model import BodyModel
-    from caphy.commands.bundled import bundled
     from caphy.garment.template import Garment
+    from caphy.io.bundled import bundled
     from caphy.training.initial import read_likeness
 
     joints = BodyModel.load(plan.run / "subject_body.npz").joints
@@ -230,8 +248,11 @@ def _has_models(run: Path) -> bool:
 
 
 def _fabric(plan: Plan) -> None:
-    for kind in ("upper", "lower"):  # of an earlier fit, which may have fitted what this one cannot
-        (plan.run / f"fabric_{kind}.json").unlink(missing_ok=True)
+    if (plan.run / FABRIC).is_file() and _has_models(plan.run):  # of the same input, or it would have been removed
+        print(f"{plan.run / FABRIC} is there already, made by 'caphy fabric' on its own; it is kept")
+        return
+    for name in (FABRIC, "fabric_upper.json", "fabric_lower.json"):  # what an earlier fit could fit, this one may not
+        (plan.run / name).unlink(missing_ok=True)
     try:
         budget = ["--rounds", str(plan.fabric_rounds), "--scans", str(plan.fabric_scans)]
         _command("fabric", plan.run, "--fabric", plan.fabric, *budget)
@@ -257,11 +278,12 @@ def _collide(plan: Plan) -> None:
         return
     resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
     budget = ["--epochs", str(plan.collision_epochs), "--seed", str(plan.seed)]
+    moved: list[str | Path] = ["--poses", *plan.poses] if plan.poses else []
     try:
-        _command("collide", *networks_of(plan.run, ("fabric", "train")), "-o", folder, *budget, *resume)
+        _command("collide", *networks_of(plan.run, ("fabric", "train")), "-o", folder, *moved, *budget, *resume)
     except CaphyError:
         for kind in worn:  # of epochs before: the avatar is made without; the checkpoint goes on from them
-            (folder / kind / "network.safetensors").unlink(missing_ok=True)
+            (folder / kind / NETWORK).unlink(missing_ok=True)
         raise
 
 
@@ -281,7 +303,7 @@ def networks_of(run: Path, stages: Sequence[str]) -> list[Path]:
     worn = kinds(run)
     for stage in stages:
         folders = [run / stage / kind for kind in worn]
-        if all((folder / "network.safetensors").is_file() for folder in folders):
+        if all((folder / NETWORK).is_file() for folder in folders):
             return folders
     raise CaphyError(f"{run}: holds no trained networks of {' and '.join(worn)}; run 'caphy fit' again")
 

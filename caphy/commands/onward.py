@@ -41,7 +41,7 @@ def onward(
     after = Trainer(folder, trainer.network, objective, motions, held_out, schedule, seed, trainer.say, scans)
     own = _own(trainer, folder, steps, seed, learning_rate)
     if trainer.folder != folder:
-        _require_own(folder)
+        require_own(folder)
     if _begun(folder, model, own):
         after.resume()
         return after
@@ -64,8 +64,9 @@ def _own(trainer: Trainer, folder: Path, steps: int, seed: int, learning_rate: f
 _RATE = "learning_rate"  # of no other record
 
 
-def _require_own(folder: Path) -> None:
-    """Raise CaphyError where another training would be overwritten, one whose record is lost or damaged included."""
+def require_own(folder: Path) -> None:
+    """Raise CaphyError where :func:`onward` would overwrite another training, one whose record is lost or damaged
+    included."""
     if not (folder / NAME).is_file():
         return
     try:

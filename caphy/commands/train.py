@@ -11,11 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from caphy.commands.begun import OPTIONS, exporting, interrupted, option, require_same, write_record
-from caphy.commands.bundled import bundled
+from caphy.commands.begun import (
+    OPTIONS,
+    exporting,
+    interrupted,
+    option,
+    require_same,
+    require_same_motions,
+    write_record,
+)
 from caphy.commands.seed import require_seed
 from caphy.commands.training_options import require_device, require_positive
 from caphy.errors import CaphyError
+from caphy.io.bundled import bundled
 from caphy.io.places import writable_folder
 
 if TYPE_CHECKING:
@@ -268,13 +276,14 @@ def _scans(options: Train, garment: Garment, objective: Objective, network: Garm
     return supervision(options.scans, worn, options.outermost, objective, network, weight, options.physics)
 
 
-def reopen(folder: Path) -> Trainer:
-    """The training that 'caphy train' wrote into a folder, on its trained network; files it read must still be there.
+def reopen(folder: Path, poses: tuple[Path, ...] = ()) -> Trainer:
+    """The training that 'caphy train' wrote into a folder, on its trained network; files it read must still be there,
+    but for the motions, which ``poses`` finds where they lie now.
 
     For :func:`caphy.commands.onward.onward` and for looking at losses; the trainer's own checkpoint is not loaded.
 
     Raises:
-        CaphyError: the folder holds no training.
+        CaphyError: the folder holds no training, or ``poses`` are other motions than it was on.
     """
     path = folder / OPTIONS
     try:
@@ -284,6 +293,9 @@ def reopen(folder: Path) -> Trainer:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
     on = replace(options, output=folder, init=folder, transfer=None, fabric=None, model=folder / "model.json")
+    if poses and on.poses:
+        on = replace(on, poses=poses)
+        require_same_motions(folder, _clips(on)[0])
     return prepare(on, record=False)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,12 +74,12 @@ def main(arguments: list[str]) -> None:
 
     started, parts = time.monotonic(), []
     report: dict[str, Any] = {"clips": {}}
-    for number, clip in enumerate(clips, 1):
+    for number, (name, clip) in enumerate(zip(_names(clips), clips, strict=True), 1):
         short = clip.resample(network.fps)[: round(options.seconds * network.fps) + 1]
         parts.append(compare_with_solver(network, potential, body, garment, short, betas))
-        report["clips"][Path(clip.source).name] = parts[-1].summary()
+        report["clips"][name] = parts[-1].summary()
         left = (time.monotonic() - started) / number * (len(clips) - number)
-        print(f"{Path(clip.source).name}: {_line(parts[-1].summary())}  ({left:.0f} s left)", flush=True)
+        print(f"{name}: {_line(parts[-1].summary())}  ({left:.0f} s left)", flush=True)
     joined = (np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Comparison))
     report |= Comparison(*joined).summary()
     motion = max(clips, key=len).resample(network.fps)
@@ -89,6 +90,13 @@ def main(arguments: list[str]) -> None:
     print(f"all: {_line(report)}; drift over {options.frames} frames {report['drift_mm']:.2g} mm")
     write_text(options.run / REPORT, json.dumps(report, indent=2) + "\n")
     print(f"wrote {options.run / REPORT}\nnext: {exporting(options.run.name, options.run)}")
+
+
+def _names(clips: Sequence[PoseSequence]) -> list[str]:
+    """Names of the clips' files, with their folders and, a number if they are of one file, where several are alike."""
+    names = [Path(clip.source).name for clip in clips]
+    told = [name if names.count(name) == 1 else clip.source for name, clip in zip(names, clips, strict=True)]
+    return [one if told.count(one) == 1 else f"{one} ({told[: i + 1].count(one)})" for i, one in enumerate(told)]
 
 
 def _line(summary: dict) -> str:

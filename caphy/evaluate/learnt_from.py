@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST
+from caphy.io.bundled import path_of
 
 OPTIONS: Final = "options.json"
 """What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
@@ -55,7 +55,7 @@ def learnt_from(folder: Path) -> Iterator[str]:
     begun = given.get("init") or given.get("transfer")
     if begun:  # what it went on from, or began as, has learnt from scans of its own
         before = _json(folder / RECORD).get(INIT_SCANS)
-        yield from learnt_from(Path(os.path.normpath(folder.resolve() / begun))) if before is None else before
+        yield from learnt_from(path_of(begun, folder.resolve())) if before is None else before
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def run_stages(stages: Sequence[Stage], run: Path, say: Callable[[str], None] = 
             pace.add(stage, outcome.seconds[stage.name])
             say(f"{head}: done before{_by(ledger, stage)}")
             continue
-        left = [s for s in stages[number:] if s is stage or not _looks_done(ledger, s)]
+        left = _left(stages[number:], ledger)
         say(f"{head}; about {_minutes(pace.left([stage]))}, {_minutes(pace.left(left))} for all that is left")
         ledger.begin(stage)
         _run(stage, ledger, outcome, say)
@@ -81,6 +81,8 @@ def _run(stage: Stage, ledger: Ledger, outcome: Outcome, say: Callable[[str], No
         missing = [path for path in stage.outputs if not path.exists()]
         if missing:
             raise CaphyError(f"{stage.name}: did not write {missing[0]}")
+        if not stage.whole():
+            raise CaphyError(f"{stage.name}: did not write all that belongs to {stage.outputs[0]}")
     except CaphyError as error:
         ledger.write(stage, Entry(key, False, monotonic() - started, str(error)))
         with ledger.log(stage).open("a", encoding="utf-8") as log:
@@ -113,10 +115,17 @@ def _by(ledger: Ledger, stage: Stage) -> str:
     return "" if same else f", {by}; give another folder for the run to do it by these"
 
 
-def _looks_done(ledger: Ledger, stage: Stage) -> bool:
-    """A guess, for the estimate: what comes before it may still change its inputs."""
-    entry = ledger.entry(stage)
-    return entry is not None and entry.finished
+def _left(stages: Sequence[Stage], ledger: Ledger) -> list[Stage]:
+    """The first stage and all that it leads to, for the estimate: what is made anew may turn out the same, and then
+    less is left."""
+    left, anew = [stages[0]], list(stages[0].outputs)
+    for stage in stages[1:]:
+        entry = ledger.entry(stage)
+        after = any(path.is_relative_to(made) for path in stage.inputs for made in anew)
+        if after or entry is None or not entry.finished:
+            left.append(stage)
+            anew += stage.outputs
+    return left
 
 
 def _minutes(seconds: float) -> str:

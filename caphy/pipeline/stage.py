@@ -31,7 +31,8 @@ class Stage:
     run: Callable[[], None]
     """Does it; raises :class:`caphy.errors.CaphyError` where it cannot."""
     inputs: tuple[Path, ...] = ()
-    """Files and folders whose content it depends on; those that are missing count as empty."""
+    """Files and folders whose content it depends on, wherever they lie and whatever they are called; those that are
+    missing count as empty."""
     outputs: tuple[Path, ...] = ()
     """Files and folders that it writes, and nobody else."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -51,7 +52,7 @@ class Stage:
         told = {"caphy": caphy.__version__, "stage": self.name, "options": dict(self.options)}
         digest.update(json.dumps(told, sort_keys=True).encode())
         for path in self.inputs:
-            digest.update(f"{path.name} {fingerprint(path)}".encode())
+            digest.update(f"{fingerprint(path)}\n".encode())
         return digest.hexdigest()
 
 

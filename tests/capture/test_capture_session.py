@@ -18,7 +18,7 @@ from caphy.capture.drape import FINE, Dresser
 from caphy.capture.fusion import _noise
 from caphy.capture.optics import Optics
 from caphy.capture.poses import capture_poses
-from caphy.capture.session import capture, read_subject
+from caphy.capture.session import _claim, capture, read_subject
 from caphy.capture.subject import ROUGH, make_subject
 from caphy.errors import CaphyError
 from caphy.io.poses import read_poses
@@ -144,6 +144,17 @@ def test_a_session_goes_on_where_it_was_stopped(session, tmp_path):
 def test_another_session_in_the_same_folder_is_refused(session):
     with pytest.raises(CaphyError, match="holds another session"):
         capture(replace(PLAN, seed=6), session)
+
+
+def test_a_session_goes_on_with_motions_that_were_moved_but_not_with_others(tmp_path):
+    for name in ("one", "two", "three"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "walk.npz").write_bytes(b"3" if name == "three" else b"1")
+    truth = tmp_path / "session" / "truth"
+    assert _claim(replace(PLAN, clips=str(tmp_path / "one")), truth.parent, truth)
+    assert not _claim(replace(PLAN, clips=str(tmp_path / "two")), truth.parent, truth)
+    with pytest.raises(CaphyError, match="holds another session"):
+        _claim(replace(PLAN, clips=str(tmp_path / "three")), truth.parent, truth)
 
 
 @pytest.mark.parametrize(

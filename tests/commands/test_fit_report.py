@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +11,8 @@ import pytest
 from benchmarks import papertable
 from caphy.commands.fit_report import _no_gain
 from caphy.commands.fit_stages import Plan, stages
+from caphy.errors import CaphyError
+from caphy.pipeline.runner import run_stages
 
 
 def _row(name: str, clothes: float, upper: float, lower: float, look: float) -> dict:
@@ -62,6 +64,66 @@ def test_models_of_an_earlier_fabric_do_not_outlive_it(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.glob("fabric_*.json")] == ["fabric_upper.json"] and fabric.whole()
     (tmp_path / "fabric_upper.json").unlink()
     assert not fabric.whole()
+
+
+def test_a_fabric_made_by_hand_after_its_fit_failed_is_kept(tmp_path, monkeypatch):
+    """As 'caphy fabric RUN' with other options leaves it; half of one is no fabric."""
+
+    def fail(words: list[str]) -> int:
+        raise CaphyError("no garment's fabric could be fitted")
+
+    monkeypatch.setattr("caphy.commands.fabric.main", fail)
+    one = [stage for stage in stages(_plan(tmp_path), 4) if stage.name == "fabric"]
+    assert list(run_stages(one, tmp_path).failed) == ["fabric"]
+    (tmp_path / "fabric.json").write_text('{"garments": {"upper": {"model_file": "fabric_upper.json"}}}')
+    assert list(run_stages(one, tmp_path).failed) == ["fabric"] and not (tmp_path / "fabric.json").exists()
+    (tmp_path / "fabric.json").write_text('{"garments": {"upper": {"model_file": "fabric_upper.json"}}}')
+    (tmp_path / "fabric_upper.json").write_text("by hand")
+    assert run_stages(one, tmp_path).done == ["fabric"] and run_stages(one, tmp_path).kept == ["fabric"]
+    assert (tmp_path / "fabric_upper.json").read_text() == "by hand"
+
+
+def _keys(plan: Plan) -> dict[str, str]:
+    return {stage.name: stage.key() for stage in stages(plan, 4)}
+
+
+def test_what_files_are_called_and_where_they_lie_does_not_matter(tmp_path):
+    """Hours of training are not done again for a folder that was renamed."""
+    (tmp_path / "given").mkdir()
+    (tmp_path / "given" / "a.ply").write_bytes(b"1")
+    for name in ("motions", "run"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "motions" / "walk.npz").write_bytes(b"2")
+    (tmp_path / "mine.npz").write_bytes(b"3")
+    (tmp_path / "mine.onnx").write_bytes(b"4")
+    plan = replace(_plan(tmp_path / "run"), scans=tmp_path / "given", poses=(tmp_path / "motions",))
+    plan = replace(plan, body=str(tmp_path / "mine.npz"), parser=str(tmp_path / "mine.onnx"))
+    before = _keys(plan)
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("given", "motions", "mine.npz", "mine.onnx"):
+        (tmp_path / name).rename(tmp_path / "elsewhere" / f"other.{name}")
+    there = tmp_path / "elsewhere"
+    moved = replace(plan, scans=there / "other.given", poses=(there / "other.motions",))
+    moved = replace(moved, body=str(there / "other.mine.npz"), parser=str(there / "other.mine.onnx"))
+    assert _keys(moved) == before
+    (there / "other.mine.npz").write_bytes(b"another body")
+    after = _keys(moved)
+    assert {name for name in after if after[name] != before[name]} == {"body", "points", "garments"}
+    assert _keys(replace(plan, body="fine"))["body"] != _keys(replace(plan, body="medium"))["body"]
+
+
+def test_a_network_validated_by_hand_is_no_other_network(tmp_path):
+    """The avatar tells what was measured, so it alone is written again."""
+    trained = tmp_path / "train" / "upper"
+    trained.mkdir(parents=True)
+    before = _keys(_plan(tmp_path))
+    for name in ("validation.json", "checkpoint.safetensors", "metrics.jsonl"):
+        (trained / name).write_text("{}")
+    after = _keys(_plan(tmp_path))
+    assert [name for name in after if after[name] != before[name]] == ["export"]
+    (trained / "network.safetensors").write_text("{}")
+    again = _keys(_plan(tmp_path))
+    assert {"fabric", "refine", "collide", "export", "evaluate"} == {n for n in again if again[n] != after[n]}
 
 
 @pytest.mark.parametrize(("interval", "trained"), [([1.5, 2.6], True), (None, False)])

@@ -15,6 +15,7 @@ from caphy.cli import main
 from caphy.effects import registry
 from caphy.effects.presets import snug_model
 from caphy.effects.scaffold import write_scaffold
+from caphy.errors import CaphyError
 from caphy.garment.template import Garment, write_npz
 from caphy.io.poses import write_poses
 from caphy.network.files import load_network
@@ -160,6 +161,37 @@ def test_what_lies_in_the_run_is_remembered_so_that_it_may_be_moved(tmp_path):
         assert option("Path", again["scans"], to) == run
     alone = remembered(Train(tmp_path / "tube.npz", (walk,), tmp_path / "alone"))
     assert alone["garment"] == str(tmp_path / "tube.npz")
+
+
+def test_what_comes_with_caphy_is_remembered_by_name(inputs):
+    """Wherever it is installed: the same command goes on elsewhere."""
+    from caphy.commands.begun import option
+    from caphy.commands.begun import told as remembered
+    from caphy.commands.train import Train
+    from caphy.evaluate.learnt_from import learnt_from
+    from caphy.io.bundled import bundled
+
+    avatar = bundled(Path("default"))
+    told = remembered(Train(bundled(Path("tshirt")), (), inputs / "run", transfer=avatar))
+    assert (told["garment"], told["transfer"]) == ("caphy:garments/tshirt.npz", "caphy:avatars/default")
+    assert option("Path | None", told["transfer"], inputs / "run") == avatar
+    (inputs / "run").mkdir()
+    (inputs / "run" / "options.json").write_text(json.dumps(told))
+    assert not list(learnt_from(inputs / "run"))  # the default avatar knows no scans
+
+
+def test_a_training_is_opened_again_on_motions_that_were_moved(inputs):
+    from caphy.commands.train import reopen
+
+    assert train(inputs) == 0
+    (inputs / "motions").rename(inputs / "elsewhere")
+    with pytest.raises(CaphyError, match="motions"):
+        reopen(inputs / "run")
+    trainer = reopen(inputs / "run", (inputs / "elsewhere",))
+    assert len(trainer.track.motions) == 364
+    write_poses(swaying(30, 7), inputs / "elsewhere" / "1.npz")
+    with pytest.raises(CaphyError, match=r"run: was trained on other motions than these 2; give the same with --poses"):
+        reopen(inputs / "run", (inputs / "elsewhere",))
 
 
 def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):

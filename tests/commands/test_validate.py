@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 
 import numpy as np
 from small_world import swaying, tube
 
 from caphy.cli import main
 from caphy.commands.begun import exporting
-from caphy.commands.validate import Validate, _clips
+from caphy.commands.validate import Validate, _clips, _names
 from caphy.io.poses import write_poses
 from export.runs import read_run
 
@@ -34,6 +35,9 @@ def test_measures_a_run_beside_the_solver(tmp_path, capsys):
     told = []
     assert "beside_solver" not in read_run(run, told.append).metrics
     assert "is of another network" in told[0]
+    (run / "validation.json").write_text(json.dumps({**report, "drift_mm": float("nan")}))
+    assert "beside_solver" not in read_run(run, told.append).metrics
+    assert "validation.json is left out, drift_mm in it is not finite" in told[1]
 
     assert main(["validate", str(run), "--frames", "0"]) == 2
     assert "--frames must be at least 1, got 0" in capsys.readouterr().err
@@ -42,6 +46,13 @@ def test_measures_a_run_beside_the_solver(tmp_path, capsys):
     assert "give pose files" in capsys.readouterr().err
     assert main(["validate", str(tmp_path)]) == 2
     assert "not a folder that 'caphy train' wrote" in capsys.readouterr().err
+
+
+def test_motions_of_one_name_are_told_apart(tmp_path):
+    walk, run = replace(swaying(20, 0), source="a/walk.npz"), replace(swaying(20, 0), source="b/run.npz")
+    assert _names([walk, run]) == ["walk.npz", "run.npz"]
+    other = replace(walk, source="b/walk.npz")
+    assert _names([walk, other, walk]) == ["a/walk.npz (1)", "b/walk.npz", "a/walk.npz (2)"]
 
 
 def test_held_out_motions_are_found_from_any_folder(tmp_path, monkeypatch, capsys):

@@ -10,10 +10,10 @@ import pytest
 from onnx import numpy_helper
 from test_glb import Glb
 
-from caphy.commands.bundled import bundled
 from caphy.errors import CaphyError
 from caphy.io.blend_shapes import blend_shapes, blend_weights
 from caphy.io.bundle import AvatarBundle, read_bundle
+from caphy.io.bundled import bundled
 from caphy.io.onnx_wire import read_graph, with_output
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.procedural import procedural_motion

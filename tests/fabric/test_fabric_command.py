@@ -109,6 +109,22 @@ def test_bad_options_are_refused(run, capsys, options, told):
     assert not (run / "fabric_lower.json").exists()
 
 
+def test_alternations_that_cannot_be_are_refused_before_any_round(run, tmp_path, capsys, monkeypatch):
+    """Rounds take hours; RUN/fabric of 'caphy fit' holds other trainings."""
+    monkeypatch.setattr("caphy.fabric.rounds.fit_fabric", None)
+    shutil.copytree(run, tmp_path / "run")
+    trained, other = tmp_path / "run" / "train" / "upper", tmp_path / "run" / "fabric" / "upper"
+    arguments = ["fabric", str(tmp_path / "run"), "--alternations", "1"]
+    assert main(arguments) == 2
+    assert "--alternations trains on what 'caphy train' wrote there" in capsys.readouterr().err
+    for folder in (trained, other):
+        folder.mkdir(parents=True)
+        for name in ("options.json", "run.json", "checkpoint.safetensors"):
+            (folder / name).write_text("{}")
+    assert main(arguments) == 2
+    assert f"{other}: holds a training that was not begun so" in capsys.readouterr().err
+
+
 def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
     assert main(["fabric", str(tmp_path)]) == 2
     assert "caphy register" in capsys.readouterr().err

@@ -204,10 +204,9 @@ def test_a_scan_that_turns_out_to_show_no_clothes_is_left_out(finished, world, t
     run, _ = finished
     for name in ("scans", "labels"):
         shutil.copytree(run / name, tmp_path / name)
-    (tmp_path / "check.json").write_text(json.dumps({"parser": "labels"}))
     labels = tmp_path / "labels" / "scan_001.npy"
     np.save(labels, np.zeros_like(np.load(labels)))
-    segment_scans(tmp_path, "schp-atr")
+    segment_scans(tmp_path, None, "schp-atr")
     found = json.loads((tmp_path / "segment.json").read_text())
     assert list(found["left_out"]) == ["scan_001"] and "shows no clothes" in found["left_out"]["scan_001"]
     assert found["kinds"] == ["upper", "lower"] and not labels.exists()
@@ -233,6 +232,13 @@ def test_bad_options_are_refused_before_anything_is_done(world, tmp_path, capsys
 def test_a_run_within_the_scans_is_refused(world, capsys):
     assert main(["fit", str(world / "scans"), "-o", str(world / "scans" / "run")]) == 2
     assert "must not lie within the folder of the scans" in capsys.readouterr().err
+
+
+def test_motions_that_hold_the_run_are_refused(world, tmp_path, capsys):
+    """Its own files would be taken for motions, and be others at every start."""
+    run = tmp_path / "run"
+    assert main(["fit", str(world / "scans"), "-o", str(run), "--poses", str(tmp_path), *OPTIONS]) == 2
+    assert "must not hold the folder of the run" in capsys.readouterr().err and not run.exists()
 
 
 def test_scans_where_the_run_puts_its_own_are_refused_and_kept(world, tmp_path, capsys):

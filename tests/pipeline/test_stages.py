@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -297,3 +298,23 @@ def test_what_is_missing_beyond_the_outputs_is_made_again(work):
     run_stages([stage], work.folder, lambda line: None)
     more.unlink()
     assert run_stages([stage], work.folder, lambda line: None).done == ["count"] and more.exists()
+    broken = replace(stage, run=work.count)
+    more.unlink()
+    with pytest.raises(CaphyError, match=r"count: did not write all that belongs to .*count\.txt"):
+        run_stages([broken], work.folder, lambda line: None)
+
+
+def test_a_renamed_input_is_the_same_input(work):
+    work.run()
+    work.source = work.source.rename(work.folder / "renamed.txt")
+    assert work.run()[0].kept == ["letters", "count"]
+
+
+def test_what_follows_from_a_changed_input_is_in_the_estimate(work):
+    """It was done before, but will be done again."""
+    told = [replace(stage, seconds=seconds) for stage, seconds in zip(work.stages(), (60, 6000), strict=True)]
+    run_stages(told, work.folder, lambda line: None)
+    work.source.write_text("xy")
+    said = []
+    run_stages(told, work.folder, said.append)
+    assert "about 60 s, 101 min for all that is left" in said[0]
