@@ -90,7 +90,10 @@ def test_what_is_unfinished_stays_until_it_is_done(tmp_path: Path, capsys: pytes
     assert folder.is_dir()
     capsys.readouterr()
     with unfinished(folder):
-        assert f"going on from what an earlier run left in {folder}" in capsys.readouterr().out
+        assert (
+            f"{folder} holds what an earlier run left; what was found from the same is not done again"
+            in capsys.readouterr().out
+        )
     assert not folder.exists()
     with unfinished(folder):
         pass

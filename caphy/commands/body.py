@@ -6,7 +6,7 @@ import os
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
@@ -14,6 +14,9 @@ import tyro
 from caphy.body.model import BodyModel
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file
+
+if TYPE_CHECKING:
+    from caphy.garment.template import Garment
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,19 @@ def main(arguments: list[str]) -> None:
         prog="caphy body",
     )
     {Build: _build, Info: _info, Render: _render}[type(command)](command)
+
+
+OTHER = 0.003
+"""How far joints may lie from those of the body that a garment was made on before it is said [m]."""
+
+
+def tell_other_body(garment: Garment, joints: np.ndarray) -> None:
+    """Say where a garment was made on another body than that with rest joints (55, 3) [m]."""
+    if (apart := garment.apart(joints)) > OTHER:
+        print(
+            f"note: the {garment.name} was made on another body, whose joints lie up to {1000 * apart:.0f} mm from "
+            "this one's: it starts too tight or too loose; give the body and shape it was made with (--body, --betas)"
+        )
 
 
 def load_body(name: str) -> BodyModel:

@@ -214,6 +214,9 @@ def _motions(sources: tuple[str, ...]) -> tuple[list[PoseSequence], list[PoseSeq
         made = [procedural_motion(seed, seconds=20.0) for seed in range(6)]
         return made[:4], made[4:]
     motions = [read_part(source) for source in sources]
+    for motion in motions:
+        if len(motion) < 2:
+            raise CaphyError(f"{motion.source}: must have 2 frames or more to fit a head on; give a longer motion")
     if len(motions) == 1:
         middle, end = len(motions[0]) // 2, len(motions[0])
         motions = [part(motions[0], 0, middle), part(motions[0], middle, end)]

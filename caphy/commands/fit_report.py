@@ -77,6 +77,8 @@ def _cautions(run: Path, evaluation: Mapping[str, Any], reasons: Mapping[str, st
     absent = [row["name"] for row in evaluation.get("rows", []) if row["missing"]]
     if absent:
         lines.append(f"Rows of the paper's table that this run does not hold: {', '.join(absent)}.")
+    for kind, scans in evaluation.get("templates_chosen_by_held_out", {}).items():
+        lines.append(f"The template of the {kind} garment was chosen by {len(scans)} of the scans held out.")
     lines += _no_gain(evaluation)
     classes = Counter(scan["class"] for scan in evaluation.get("scans", {}).values())
     if classes and min(classes.values()) < FEWEST_OF_A_CLASS:

@@ -268,11 +268,26 @@ def _garment(
         told = asdict(style) | {"families": dict(choice.runners_up)}
         away, looked_at = distance(style, fit.figure, targets), choice.looked_at
     garment.save(path)
+    _tell_of_layers(command, kind, clouds)
     near = ", ".join(names[:COMPARED])
     print(f"{path}: {garment.name}, {1e3 * away:.1f} mm from {near}; best of {looked_at} styles, refined")
     told = {"garment": garment.name, "scans": names, "distance": away, "looked_at": looked_at, **told}
     kept.keep(whole, {"told": np.array(json.dumps(told)), "digest": np.array(digest(path.read_bytes()))})
     return told
+
+
+def _tell_of_layers(command: Garments, kind: str, clouds: Sequence[Cloud]) -> None:
+    """Say where one garment will find no room beneath or above another that the scans show."""
+    from caphy.scan.scan import LOWER
+
+    other = command.output / ("lower.npz" if kind == "upper" else "upper.npz")
+    if kind == "upper" and not other.is_file() and any((cloud.labels == LOWER).any() for cloud in clouds):
+        print(
+            f"note: the scans show a lower garment, for which {command.output / 'upper.npz'} leaves no room, since it "
+            "is not chosen yet; choose it first, or both together"
+        )
+    elif kind == "lower" and other.is_file() and "upper" not in command.kinds:
+        print(f"note: {other} was chosen before, and leaves room for another garment, if any; choose it anew")
 
 
 def _targets(

@@ -32,6 +32,8 @@ class Simulate:
     """The npz to write: positions and velocities of every frame."""
     body: str = "medium"
     """The body the garment was made on: an SMPL-X-format npz, or "medium" for the bundled one."""
+    betas: tuple[float, ...] = ()
+    """Body shape that the garment was made on; the poses' own are not used."""
     fabric: str | None = None
     """A measured fabric, as listed by 'caphy effects list --fabrics'. Without it: SNUG's cotton."""
     model: Path | None = None
@@ -71,7 +73,7 @@ def main(arguments: list[str]) -> None:
 def _simulate(command: Simulate, folder: Path) -> None:
     from tqdm import tqdm
 
-    from caphy.commands.body import load_body
+    from caphy.commands.body import load_body, tell_other_body
     from caphy.effects.cloth import Cloth
     from caphy.effects.potential import Potential
     from caphy.io.poses import read_poses
@@ -87,7 +89,9 @@ def _simulate(command: Simulate, folder: Path) -> None:
     poses = read_poses(command.poses).require_world().resample(command.fps)
     if command.seconds is not None:
         poses = poses[: round(command.seconds * command.fps) + 1]
-    motion = BodyMotion(body, poses, garment)
+    betas = np.array(command.betas) if command.betas else None
+    motion = BodyMotion(body, poses, garment, betas)
+    tell_other_body(garment, body.rest(betas)[1])
     potential = Potential(model, Cloth.of(garment, model.density))
     print(f"{garment.name}: {len(garment.vertices)} vertices, {len(poses)} frames at {poses.fps:g} fps; dressing ...")
     start = _dressed(potential, motion, kept)

@@ -184,6 +184,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
 
     from caphy.body.bundled import default_body
     from caphy.body.model import BodyModel
+    from caphy.commands.body import tell_other_body
     from caphy.effects.cloth import Cloth
     from caphy.effects.own import use_file
     from caphy.effects.potential import Potential
@@ -227,6 +228,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
         require_same(options, garment, model, trained)
         trainer.resume()
     if trainer.rank == 0 and record and not trainer.done:
+        tell_other_body(garment, joints)
         write_record(options, shape, initial, garment, model, fps, trained, held_out)
         _tell(trainer, garment, initial, trained, held_out)
     return trainer

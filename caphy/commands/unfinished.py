@@ -29,7 +29,7 @@ def unfinished(folder: Path) -> Iterator[Path]:
                 f"{folder}: is where unfinished work is kept, and holds {foreign[0]!r}, which is not caphy's; move it "
                 "elsewhere, or choose another output"
             )
-        print(f"going on from what an earlier run left in {folder}")
+        print(f"{folder} holds what an earlier run left; what was found from the same is not done again")
     try:
         yield folder
     except KeyboardInterrupt:

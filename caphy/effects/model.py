@@ -143,7 +143,11 @@ class Model:
                 if not isinstance(values, dict):
                     raise TypeError(f"the parameters of {name} must be an object, got {json.dumps(values)}")
             history = tuple(Revision.from_dict(entry, n) for n, entry in enumerate(data.get("history", ()), 1))
-            return cls(float(density), data["effects"], history)
+            model = cls(float(density), data["effects"], history)
+            extra = float(np.sum(model.effects.get("extra_mass", {}).get("density", 0.0)))
+            if density + extra <= 0:
+                raise ValueError(f"cloth of {density:g} kg/m^2 and extra_mass of {extra:g} weighs nothing")
+            return model
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise CaphyError(
                 f"{source}: not a physics model ({type(error).__name__}: {error}); it must be JSON with "

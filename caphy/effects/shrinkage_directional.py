@@ -15,7 +15,7 @@ class ShrinkageDirectional(OfMembrane):
 
     E = A ((1 - s_u)(1 - s_v) psi(G') - psi(G)) with psi the model's own membrane and what stiffens it, and G' the
     strain from the smaller rest shape, as in shrinkage, which this is where both are the same. Negative values let the
-    cloth grow.
+    cloth grow. Beside shrinkage the fractions add to first order, where cutting twice would multiply what is left.
     """
 
     name = "shrinkage_directional"

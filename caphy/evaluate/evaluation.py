@@ -12,7 +12,7 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.evaluate.classes import like_and_unlike, pose_distances
 from caphy.evaluate.dressed import Dressed, Subject, Wearing
-from caphy.evaluate.learnt_from import require_same_scans
+from caphy.evaluate.learnt_from import chosen_by_held_out, require_same_scans
 from caphy.evaluate.perceptual import Perceptual
 from caphy.evaluate.rows import PAPER, TEMPLATE, Row
 from caphy.evaluate.score import HeldOut
@@ -35,9 +35,10 @@ Shown = Callable[[HeldOut, Mapping[str, Dressed]], None]
 class Evaluation:
     """What :func:`evaluate` found.
 
-    rows: those asked for. scores: row -> seed folder -> scan -> figures. classes: class of each scan.
-    distances: how far each scan's pose lies from the nearest trained one [degrees]. unused: scan, or one of its
-    garments, -> why. failed: row -> why -> scans that it could not be held against for that, or none for all.
+    rows: those asked for. scores: row -> seed folder -> scan -> figures. classes: class of each scan. distances: how
+    far each scan's pose lies from the nearest trained one [degrees]. unused: scan, or one of its garments, -> why.
+    chosen_by: garment -> scans held out by which its template was chosen all the same. failed: row -> why -> scans that
+    it could not be held against for that, or none for all.
     """
 
     rows: tuple[Row, ...]
@@ -47,6 +48,7 @@ class Evaluation:
     look: Perceptual | None
     scores: dict[str, dict[str, dict[str, dict[str, float]]]] = field(default_factory=dict)
     unused: dict[str, str] = field(default_factory=dict)
+    chosen_by: dict[str, list[str]] = field(default_factory=dict)
     failed: dict[str, dict[str, list[str]]] = field(default_factory=dict)
 
     @property
@@ -98,6 +100,7 @@ class Evaluation:
             "trained_on": self.trained_on,
             "scans": {n: {"class": self.classes[n], "pose_distance_degrees": self.distances[n]} for n in done},
             "left_out": self.left_out,
+            "templates_chosen_by_held_out": self.chosen_by,
             "rows": [self._row(row, names) for row in self.rows],
             "paper_mm": {name: list(values) for name, values in PAPER.items()},
         }
@@ -141,6 +144,7 @@ def evaluate(
         tuple(rows), {n: classes[n] for n in names}, dict(zip(names, np.degrees(distances).tolist(), strict=True)),
         len(trained), look,
     )  # fmt: skip
+    result.chosen_by.update(chosen_by_held_out(run, tuple(subject.garments), names))
     worn = _read_rows(subject, rows, digest(trained), result)
     for number, points in enumerate(held_out):
         if progress is not None:

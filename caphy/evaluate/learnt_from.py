@@ -15,6 +15,8 @@ OPTIONS: Final = "options.json"
 """What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
 RECORD: Final = "run.json"
 """The record that an avatar carries on."""
+TEMPLATES: Final = "garments.json"
+"""What templates were chosen, and by which scans."""
 CONTENTS: Final = "contents"
 """Digests of what those options name by path, in the same file."""
 SCANS_DIGEST: Final = "scans_digest"
@@ -38,6 +40,13 @@ def require_same_scans(folder: Path, kinds: Sequence[str], digest: str) -> None:
                 + ("" if told else ", for all that is kept beside it")
                 + ", so that it may know those held out; train it again"
             )
+
+
+def chosen_by_held_out(run: Path, kinds: Sequence[str], held_out: Sequence[str]) -> dict[str, list[str]]:
+    """Of each garment of a run, the scans held out by which 'caphy register garments' chose its template."""
+    chosen = _json(run / TEMPLATES)
+    among = {kind: [name for name in held_out if name in chosen.get(kind, {}).get("scans", ())] for kind in kinds}
+    return {kind: names for kind, names in among.items() if names}
 
 
 def learnt_from(folder: Path) -> Iterator[str]:

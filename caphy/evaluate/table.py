@@ -35,6 +35,12 @@ def table_lines(document: Mapping[str, Any]) -> list[str]:
         if row["missing"] is None and row["name"] in document["left_out"]
     ]
     lines += ["", "not evaluated:", *absent] if absent else []
+    for kind, scans in document["templates_chosen_by_held_out"].items():
+        lines += [
+            "",
+            f"caution: {len(scans)} of the scans held out have chosen the template of the {kind} garment, so every row "
+            "knows of them; choose it again with 'caphy register garments', and train on that",
+        ]
     paper = ", ".join(f"{name} {a:g} / {b:g}" for name, (a, b) in document["paper_mm"].items())
     return [*lines, "", f"CaPhy's paper, two subjects of its own, for orientation [mm]: {paper}"]
 

@@ -48,6 +48,7 @@ def dress(family: Family, marks: Landmarks, cut: Cut, vertices: np.ndarray, face
         attached=attached,
         provenance={k: str(v) for k, v in asdict(family).items()}
         | {"family": family.family, "metric": "3-D rest template"},
+        joints=marks.joints,
     )
 
 

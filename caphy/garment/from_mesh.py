@@ -79,6 +79,7 @@ def garment_from_mesh(
         layer_thickness=np.full(len(mesh.vertices), layer_thickness),
         attached=_top_band(mesh) if waistband else np.zeros(len(mesh.vertices)),
         provenance={**(provenance or {}), "metric": metric},
+        joints=marks.joints,
     )
 
 
@@ -90,7 +91,7 @@ def rest_metric(mesh: UserMesh, marks: Landmarks, panel_scale: float = 1.0) -> t
         report = panels.examine(mesh.vertices, mesh.faces, panel)
         if report.usable:
             return panels.material_from_panels(panel), "panel coordinates"
-        reason = report.complaint()
+        reason = report.complaint(panel_scale)
     guide = thread_guide(marks, mesh.vertices[mesh.faces].mean(axis=1))
     warp = threads.warp_field(mesh.vertices, mesh.faces, guide)
     return threads.lay_flat(mesh.vertices, mesh.faces, warp), f"3-D shape, because {reason}"

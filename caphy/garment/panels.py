@@ -34,15 +34,15 @@ class PanelReport:
         """Whether the coordinates are a rest metric in metres."""
         return not self.complaint()
 
-    def complaint(self) -> str:
-        """Why the coordinates are no rest metric, or an empty string."""
+    def complaint(self, scale: float = 1.0) -> str:
+        """Why the coordinates, which were given times ``scale``, are no rest metric, or an empty string."""
         if self.flat:
             return f"{self.flat} faces have no area in the panel coordinates"
         if self.agreeing < AGREEING:
             return (
                 f"panel edges are {self.ratio:.3g} times the 3-D edges and only {100 * self.agreeing:.0f} % agree "
                 "within 10 %: texture coordinates, not flat cloth in metres (if they are flat cloth in another "
-                f"unit, pass --panel-scale {1 / max(self.ratio, 1e-9):.3g})"
+                f"unit, pass --panel-scale {scale / max(self.ratio, 1e-9):.3g})"
             )
         if self.seam_mismatch > 0.1:
             return f"{100 * self.seam_mismatch:.0f} % of interior edges differ in length between their two panels"

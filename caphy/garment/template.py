@@ -20,6 +20,10 @@ from caphy.io.unpacked import require_unpackable
 FORMAT = "caphy-garment-1"
 REALS = ("vertices", "material", "weights", "layer_thickness", "attached")
 """The arrays of real numbers, float64 in memory."""
+WHOLE = 1e-3
+"""How far the weights of a vertex may be from one in sum; files hold single precision."""
+MOST_REGIONS = 256
+"""Bundles and pages number them in a byte."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,9 @@ class Garment:
     attached: np.ndarray
     """Strength (V,) from 0 (free) to 1 (held where skinning puts it, as a waistband is)."""
     provenance: Mapping[str, str] = field(default_factory=dict)
-    """Where it came from: family and parameters, or file; the rest metric's origin; the body."""
+    """Where it came from: family and parameters, or file; the rest metric's origin."""
+    joints: np.ndarray | None = None
+    """Rest joints (55, 3) [m] of the body that it was made on; none if nobody knows."""
 
     def __post_init__(self) -> None:
         count, shapes = (
@@ -63,11 +69,19 @@ class Garment:
                 raise CaphyError(
                     f"garment {self.name!r}: {name} must have shape {shape}, got {getattr(self, name).shape}"
                 )
+        if self.joints is not None and self.joints.shape != (JOINT_COUNT, 3):
+            raise CaphyError(
+                f"garment {self.name!r}: joints must have shape {(JOINT_COUNT, 3)}, got {self.joints.shape}"
+            )
         for name in REALS:
             if not np.isfinite(getattr(self, name)).all():
                 raise CaphyError(f"garment {self.name!r}: {name} must be finite, got NaN or infinity")
         if count == 0 or self.faces.min(initial=0) < 0 or self.faces.max(initial=-1) >= count:
             raise CaphyError(f"garment {self.name!r}: faces must index its {count} vertices")
+
+    def apart(self, joints: np.ndarray) -> float:
+        """How far at most rest joints (55, 3) lie from those that it was made on [m]; 0 where these are unknown."""
+        return 0.0 if self.joints is None else float(np.linalg.norm(self.joints - joints, axis=1).max())
 
     @cached_property
     def boundary_loops(self) -> list[np.ndarray]:
@@ -102,6 +116,8 @@ class Garment:
             "regions": self.regions,
             "provenance": np.array([[str(k), str(v)] for k, v in self.provenance.items()], str).reshape(-1, 2),
         }
+        if self.joints is not None:
+            arrays["joints"] = self.joints.astype(np.float32)
         write_npz(Path(path), arrays)
 
     @classmethod
@@ -109,7 +125,8 @@ class Garment:
         """Read what :meth:`save` wrote.
 
         Raises
-            CaphyError: if the file is missing, is no garment npz, holds pickles, or its arrays do not fit together.
+            CaphyError: if the file is missing, is no garment npz, holds pickles, its arrays do not fit together, its
+                mesh is no cloth's, or its weights do not sum to one.
         """
         arrays = read_npz(Path(path))
         missing = {"name", "faces", "regions", "provenance", *REALS} - arrays.keys()
@@ -118,13 +135,34 @@ class Garment:
                 f"{path}: must be a garment npz of format {FORMAT!r}, got format {str(arrays.get('format'))!r}, "
                 f"without {sorted(missing) or 'nothing else'}; write one with 'caphy garment make' or 'from-mesh'"
             )
-        return cls(
+        garment = cls(
             name=str(arrays["name"]),
             faces=arrays["faces"].astype(np.int32),
             regions=arrays["regions"],
             provenance={str(k): str(v) for k, v in arrays["provenance"]},
+            joints=arrays["joints"].astype(np.float64) if "joints" in arrays else None,
             **{name: arrays[name].astype(np.float64) for name in REALS},
         )
+        garment._require_sound(path)
+        return garment
+
+    def _require_sound(self, path: str | Path) -> None:
+        """Raise CaphyError, naming the file, unless the mesh is a cloth's, its vertices are carried, and its parts have
+        names."""
+        made = "it was not written by caphy as it is; make it again with 'caphy garment make' or 'from-mesh'"
+        if defects := topology.check_manifold(self.faces, len(self.vertices)):
+            raise CaphyError(f"{path}: must be an oriented manifold with boundary, has {defects.describe()}; {made}")
+        off = np.abs(self.weights.sum(axis=1) - 1)
+        if off[wrong := int(off.argmax())] > WHOLE:
+            raise CaphyError(
+                f"{path}: weights must sum to 1 for each vertex, got {self.weights[wrong].sum():.3g} for vertex "
+                f"{wrong}; {made}"
+            )
+        if self.regions.dtype.kind != "U" or len(np.unique(self.regions)) > MOST_REGIONS:
+            raise CaphyError(
+                f"{path}: regions must be up to {MOST_REGIONS} names, got {len(np.unique(self.regions))} of type "
+                f"{self.regions.dtype}; {made}"
+            )
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray], compressed: bool = True) -> None:

@@ -44,7 +44,7 @@ class ScanSet:
     name: str
     folder: Path
     files: tuple[Path, ...]
-    """One mesh per scan, sorted by name."""
+    """One mesh per scan, sorted by the scans' names."""
     scale: float
     """Metres per unit of the files."""
     rotation: np.ndarray
@@ -223,7 +223,7 @@ def _description(folder: Path) -> dict[str, Any]:
 def _files(folder: Path, pattern: str | None) -> tuple[Path, ...]:
     try:
         found = folder.glob(pattern) if pattern else (p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
-        files = tuple(sorted((p for p in found if p.is_file()), key=lambda p: p.name))  # as poses are, whatever folders
+        files = tuple(sorted((p for p in found if p.is_file()), key=lambda p: p.stem))  # as poses are, whatever folders
     except (ValueError, NotImplementedError) as error:
         raise CaphyError(f"{folder / DESCRIPTION}: scans must be a pattern such as '*.ply': {error}") from error
     if not files:

@@ -35,27 +35,43 @@ _Skeleton = tuple[np.ndarray, np.ndarray, np.ndarray]
 class BodyMotion:
     """A body model moving through a pose sequence, and the garment worn on it.
 
-    Time runs in seconds from the first frame; before the first and after the last frame the body stands still.
-    Between frames joint rotations and the root's translation follow splines (:mod:`caphy.solve.paths`), so that limbs
-    keep their lengths. Everything is numpy float64 in the world frame (y up) except :class:`BodyState`, which is torch.
+    Time runs in seconds; before the first and after the last frame the body stands still. Between frames joint
+    rotations and the root's translation follow splines (:mod:`caphy.solve.paths`), so that limbs keep their lengths.
+    Everything is numpy float64 in the world frame (y up) except :class:`BodyState`, which is torch.
 
     Attributes:
         body, poses, garment: as given; ``poses`` with y up.
         fps: frames per second [Hz].
     """
 
-    def __init__(self, body: BodyModel, poses: PoseSequence, garment: Garment, betas: np.ndarray | None = None) -> None:
-        """``betas`` (S,) is the body shape the garment was made on; the sequence's own betas are not used."""
-        self.body, self.garment, self.betas = body, garment, betas
+    def __init__(
+        self,
+        body: BodyModel,
+        poses: PoseSequence,
+        garment: Garment,
+        betas: np.ndarray | None = None,
+        start: float = 0.0,
+    ) -> None:
+        """``betas`` (S,) is the body shape the garment was made on; the sequence's own betas are not used. ``start`` is
+        the time of the first frame [s]."""
+        self.body, self.garment, self.betas, self.start = body, garment, betas, start
         self._rest, self._joints = body.rest(betas)
         self.poses = poses.to_y_up(self._joints[0])
         self.fps = self.poses.fps
         self._turned = path(_unbroken(quaternion_from_axis_angle(self.poses.poses)), self.fps)
         self._moved = path(self.poses.transl, self.fps)
-        self._surface = Following(Surface.of(body.faces, body.v_template))
+        self._still = Surface.of(body.faces, body.v_template)
         self._posed: OrderedDict[float, np.ndarray] = OrderedDict()
         self._skeletons: OrderedDict[float, _Skeleton] = OrderedDict()
-        self._anchor_time, self._anchors = np.nan, garment.vertices
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what was asked for last, as if asked for the first time: of a point as near to two faces, which of
+        them is told hangs on that, and rounding with it."""
+        self._surface = Following(self._still)
+        self._posed.clear()
+        self._skeletons.clear()
+        self._anchor_time, self._anchors = np.nan, self.garment.vertices
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -64,14 +80,14 @@ class BodyMotion:
     @property
     def times(self) -> np.ndarray:
         """Times of the frames (T,) [s]."""
-        return np.arange(len(self)) / self.fps
+        return self.start + np.arange(len(self)) / self.fps
 
     def pose(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint rotations (N, 55, 3) [rad] and translations (N, 3) [m] at times (N,) [s]."""
-        times = np.atleast_1d(times)
-        turned = self._turned(times)
+        since = np.atleast_1d(times) - self.start
+        turned = self._turned(since)
         turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
-        return axis_angle_from_quaternion(turned), self._moved(times)
+        return axis_angle_from_quaternion(turned), self._moved(since)
 
     def vertices(self, times: np.ndarray) -> np.ndarray:
         """Body vertices (N, B, 3) [m] at times (N,) [s]; the last few are remembered."""

@@ -181,11 +181,12 @@ def simulate(
         frames = range(first, min(first + AT_ONCE, len(motion)))
         key = kept.key("frames", how, first, len(frames), states[-1].x.numpy(), states[-1].v.numpy())
         if (found := kept.recall(key)) is not None:
-            states += _states(found, frames, motion.fps)
+            states += _states(found, frames, motion)
             reports += _reports(found)
         else:
+            motion.forget()  # who goes on from here remembers nothing of what was before
             for frame in frames:
-                last = State((frame - 1) / motion.fps, states[-1].x, states[-1].v)
+                last = State(motion.start + (frame - 1) / motion.fps, states[-1].x, states[-1].v)
                 state, report = simulator.advance(last, 1 / motion.fps, substeps)
                 states.append(state)
                 reports.append(report)
@@ -205,7 +206,7 @@ def _started(kept: Kept, world: str, newton: Newton, motion: BodyMotion) -> Stat
 
     key = kept.key("start", world, newton.tolerance)
     if (found := kept.recall(key)) is not None:
-        return State(0.0, torch.from_numpy(found["x"]), torch.from_numpy(found["v"]))
+        return State(motion.start, torch.from_numpy(found["x"]), torch.from_numpy(found["v"]))
     state = start_state(newton, motion)
     kept.keep(key, {"x": state.x.numpy(), "v": state.v.numpy()})
     return state
@@ -217,9 +218,9 @@ def _arrays(states: Sequence[State], reports: Sequence[Sequence[Report]]) -> dic
     return {"x": np.stack([s.x.numpy() for s in states]), "v": np.stack([s.v.numpy() for s in states])} | said
 
 
-def _states(arrays: dict[str, np.ndarray], frames: range, fps: float) -> list[State]:
+def _states(arrays: dict[str, np.ndarray], frames: range, motion: BodyMotion) -> list[State]:
     x, v = (torch.from_numpy(arrays[name]) for name in "xv")
-    return [State(frame / fps, *at) for frame, *at in zip(frames, x, v, strict=True)]
+    return [State(motion.start + frame / motion.fps, *at) for frame, *at in zip(frames, x, v, strict=True)]
 
 
 def _reports(arrays: dict[str, np.ndarray]) -> list[tuple[Report, ...]]:

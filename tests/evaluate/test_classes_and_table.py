@@ -102,6 +102,13 @@ def test_scans_that_could_not_be_evaluated_are_not_counted(evaluation):
     assert "scans held out: 2" in text and "running (1; 15 degrees)" in text and "  c: shows nothing" in text
 
 
+def test_templates_that_know_what_is_held_out_are_told(evaluation):
+    assert "caution" not in "\n".join(table_lines(evaluation.document()))
+    evaluation.chosen_by["upper"] = ["a"]
+    lines = table_lines(evaluation.document())
+    assert any("1 of the scans held out have chosen the template of the upper garment" in line for line in lines)
+
+
 def test_a_row_that_lacks_a_scan_says_how_many_its_means_are_of(evaluation):
     del evaluation.scores["ours"]["seed_2"]["b"]
     evaluation.failed["ours"] = {"seed_2: not finite": ["b"]}

@@ -51,6 +51,16 @@ def test_an_edited_split_leaves_out_what_was_trained_before(tmp_path):
         evaluate(run, scans, [row], None)
 
 
+def test_a_template_chosen_by_what_is_held_out_now_is_told(tmp_path):
+    """As where the split was drawn anew since."""
+    run, scans = small_run(tmp_path)
+    split = json.loads((run / "split.json").read_text())
+    told = {"upper": {"scans": split["train"]}, "lower": {"scans": [*split["train"], split["held_out"][0]]}}
+    (run / "garments.json").write_text(json.dumps(told))
+    found = evaluate(run, scans, [Row(TEMPLATE)], None).document()
+    assert found["templates_chosen_by_held_out"] == {"lower": split["held_out"][:1]}
+
+
 def test_a_row_that_comes_to_nothing_costs_the_others_nothing(world, tmp_path):
     run, scans = world
     rows = [

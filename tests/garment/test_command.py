@@ -88,6 +88,18 @@ def test_poses_of_a_camera_are_not_simulated(tmp_path, capsys):
     assert "these poses are in a camera's frame" in capsys.readouterr().err
 
 
+def test_a_garment_is_simulated_on_the_body_that_it_was_made_on(tmp_path, capsys):
+    """On another one it would start 15 mm too tight, or too loose."""
+    made, poses = tmp_path / "shorts.npz", tmp_path / "walk.npz"
+    assert main(["garment", "make", "shorts", "--edge-length", "0.05", "--betas", "1.5", "-o", str(made)]) == 0
+    write_poses(procedural_motion(0, 0.1), poses)
+    simulated = ["simulate", str(made), str(poses), "-o", str(tmp_path / "o.npz")]
+    assert main(simulated) == 0
+    assert "the shorts was made on another body, whose joints lie up to 114 mm" in capsys.readouterr().out
+    assert main([*simulated, "--betas", "1.5"]) == 0
+    assert "another body" not in capsys.readouterr().out
+
+
 def test_numbers_of_a_mesh_that_mean_nothing_are_refused(tmp_path, capsys):
     mesh = tmp_path / "mine.obj"
     trimesh.creation.cylinder(0.3, 0.5).export(mesh)

@@ -9,6 +9,7 @@ import pytest
 
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
+from caphy.garment.topology import hinges
 
 
 @pytest.fixture
@@ -40,6 +41,39 @@ def test_a_file_brings_back_every_field(garment, tmp_path):
         else:
             assert np.array_equal(got, want) if isinstance(want, np.ndarray) else got == want
     assert [p.name for p in (tmp_path / "a").iterdir()] == ["strip.npz"]  # no temporary file stays behind
+
+
+def test_the_body_that_it_was_made_on_is_kept_with_it(garment, tmp_path):
+    joints = np.random.default_rng(0).normal(size=(55, 3))
+    assert garment.apart(joints) == 0.0  # nobody knows
+    dataclasses.replace(garment, joints=joints).save(tmp_path / "strip.npz")
+    again = Garment.load(tmp_path / "strip.npz")
+    assert again.apart(joints) < 1e-6 and again.apart(joints + np.array([0, 0.3, 0.4])) == pytest.approx(0.5)
+    with pytest.raises(CaphyError, match=r"joints must have shape \(55, 3\), got \(24, 3\)"):
+        dataclasses.replace(garment, joints=joints[:24])
+
+
+def test_files_that_are_no_cloth_are_refused(garment, tmp_path):
+    """Written by other programs: they ended in tracebacks, or lay where no body carries them."""
+    turned = garment.faces.copy()
+    turned[5] = turned[5][::-1]
+    third_side = hinges(garment.faces)[0, [1, 0]]
+    third = np.concatenate([garment.faces, [[*third_side, 0]]]).astype(np.int32)
+    material = np.concatenate([garment.material, garment.material[:1]])
+    kept = (garment.faces != 0).all(axis=1)
+    many = np.array([f"r{i}" for i in range(len(garment.vertices))])
+    for changed, says in (
+        ({"faces": turned}, "wound in opposite senses"),
+        ({"faces": third, "material": material}, "more than two faces"),
+        ({"faces": garment.faces[kept], "material": garment.material[kept]}, "vertices in no face"),
+        ({"weights": 0.5 * garment.weights}, "weights must sum to 1 for each vertex, got 0.5 for vertex"),
+        ({"regions": np.arange(len(garment.vertices))}, "regions must be up to 256 names"),
+    ):
+        dataclasses.replace(garment, **changed).save(tmp_path / "other.npz")
+        with pytest.raises(CaphyError, match=rf"other\.npz: .*{says}.*make it again"):
+            Garment.load(tmp_path / "other.npz")
+    dataclasses.replace(garment, regions=many).save(tmp_path / "other.npz")
+    Garment.load(tmp_path / "other.npz")
 
 
 def test_masses_and_regions(garment):

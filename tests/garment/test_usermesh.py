@@ -131,6 +131,7 @@ def test_texture_coordinates_are_reported_and_not_used(strip, tmp_path, marks, f
     mesh = clean_mesh(read_mesh(write_obj(tmp_path / "t.obj", vertices, faces, vertices[:, :2] * factor)))
     material, metric = rest_metric(mesh, marks)
     assert "texture coordinates" in metric and f"--panel-scale {1 / factor:.3g}" in metric
+    assert f"--panel-scale {1 / factor:.3g}" in rest_metric(mesh, marks, panel_scale=7.0)[1]  # whatever was tried
     solid = panels.edge_lengths(mesh.vertices[mesh.faces])
     np.testing.assert_allclose(panels.edge_lengths(material), solid, atol=1e-12)
     assert rest_metric(mesh, marks, panel_scale=1 / factor)[1] == "panel coordinates"

@@ -16,7 +16,7 @@ from caphy.body.model import BodyModel
 from caphy.body.surface import Surface
 from caphy.challenge.sheets import users_square
 from caphy.cli import main
-from caphy.commands.register import _garment, _hung, _shown, _targets
+from caphy.commands.register import _garment, _hung, _shown, _targets, _tell_of_layers
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.families import Tshirt
@@ -163,6 +163,23 @@ def test_templates_are_chosen_by_the_scans_that_show_them(tmp_path, capsys, monk
     scans[:] = [clouds[1]] * 3
     with pytest.raises(CaphyError, match=r"no scan shows the lower garment:\n.*has no points labelled lower"):
         _garment(command, fit, range(3), scans, "lower", Model(0.2), Kept())
+
+
+def test_a_garment_that_finds_no_room_beneath_another_is_told(tmp_path, capsys):
+    """Chosen one by one, the shirt before the trousers that it hangs over."""
+    cloud = SimpleNamespace(labels=np.array([0, 1, 2]))
+    alone = SimpleNamespace(output=tmp_path, kinds=("upper",))
+    _tell_of_layers(alone, "upper", [SimpleNamespace(labels=np.array([0, 1]))])
+    assert capsys.readouterr().out == ""
+    _tell_of_layers(alone, "upper", [cloud])
+    assert "leaves no room" in capsys.readouterr().out
+    (tmp_path / "upper.npz").write_bytes(b"")
+    _tell_of_layers(SimpleNamespace(output=tmp_path, kinds=("lower",)), "lower", [cloud])
+    assert "upper.npz was chosen before" in capsys.readouterr().out
+    (tmp_path / "lower.npz").write_bytes(b"")
+    _tell_of_layers(SimpleNamespace(output=tmp_path, kinds=("lower", "upper")), "lower", [cloud])
+    _tell_of_layers(alone, "upper", [cloud])
+    assert capsys.readouterr().out == ""
 
 
 def test_one_garment_at_a_time_is_told_as_both(tmp_path, monkeypatch):

@@ -266,6 +266,16 @@ def test_poses_must_be_as_many_as_scans(tmp_path):
         ScanSet.read(tmp_path)
 
 
+def test_the_order_of_scans_is_the_same_whatever_kind_of_file_they_are(tmp_path):
+    """'s.obj' comes before 's.p.obj', but 's.p.ply' before 's.ply': written again they would exchange their poses."""
+    _describe(tmp_path / "given")
+    for name in ("s", "s.p"):
+        BOX.export(tmp_path / "given" / f"{name}.obj")
+    given = ScanSet.read(tmp_path / "given")
+    again = write_scan_set(tmp_path / "again", list(given), "somebody")
+    assert given.names == again.names == ("s", "s.p")
+
+
 def test_poses_go_by_the_scans_names_whatever_folders_they_lie_in(tmp_path):
     _describe(tmp_path, 'unit = "m"\nup_axis = "y"\nscans = "*/*.ply"\nposes = "poses.npz"\n')
     for place in ("day1/z", "day2/a"):
