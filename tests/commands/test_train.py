@@ -129,8 +129,12 @@ def test_another_training_is_not_gone_on_with(inputs, capsys):
         assert words in capsys.readouterr().err
     path = inputs / "tube.npz"
     before, garment = path.read_bytes(), Garment.load(path)
-    for name in ("material", "weights", "attached"):
-        replace(garment, **{name: np.roll(getattr(garment, name), 1, axis=0) * 0.99}).save(path)
+    for name, other in (
+        ("material", 0.99 * garment.material),
+        ("weights", np.roll(garment.weights, 1, axis=1)),
+        ("attached", 0.99 * np.roll(garment.attached, 1)),
+    ):
+        replace(garment, **{name: other}).save(path)
         assert train(inputs, "--resume") == 2
         assert f"was begun on a garment of the same mesh and other {name}" in capsys.readouterr().err
     path.write_bytes(before)
