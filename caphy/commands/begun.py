@@ -105,6 +105,7 @@ def copied(folder: Path, to: Path) -> str:
 def contents(options: Train, trained: Sequence[PoseSequence]) -> dict[str, str]:
     """Digests of what options name by path alone: motions, the code of own effects, the body, the points of scans."""
     from caphy.body.model import BodyModel
+    from caphy.commands.supervision import templates
     from caphy.kept import code, digest
     from caphy.register.points import read_points
 
@@ -113,6 +114,7 @@ def contents(options: Train, trained: Sequence[PoseSequence]) -> dict[str, str]:
         found["arrays of the body"] = digest(BodyModel.load(options.body))
     if options.scans is not None:
         found["scans"] = digest(read_points(options.scans, "train"))
+        found["templates of the run"] = digest(templates(options.scans))  # tell what hides what, and what is mirrored
     return found
 
 

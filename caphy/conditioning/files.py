@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from caphy.conditioning.conditioner import Conditioner
+from caphy.conditioning.conditioner import BRIDGE, Conditioner
 from caphy.conditioning.frame import Frame
 from caphy.errors import CaphyError
 from caphy.io.poses.camera import OPENCV_TO_Y_UP
@@ -50,13 +50,16 @@ def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> Pose
     if wanted != sequence.frame:
         raise CaphyError(f"{sequence.source}: is in {sequence.frame} axes, conditioning was set up for {wanted}")
     pelvis = conditioner.body.joints[0]
-    seen = as_seen(sequence).about(pelvis)
+    seen, notes = as_seen(sequence).about(pelvis), sequence.notes
+    if seen.fps * BRIDGE <= 1 + 1e-9:  # a stream could not know what comes after; a file does
+        notes = (*notes, f"conditioning: {seen.fps:g} poses a second are few; between them joints turn evenly")
+        seen = seen.resample(conditioner.settings.fps)
     frames = condition(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, seen.transl)
     if not frames:
         raise CaphyError(f"{sequence.source}: nobody was seen in it, so there is no motion")
-    notes = tuple(dict.fromkeys(note for frame in frames for note in frame.notes))
-    more = (f"and {len(notes) - 10} more such notes",) if len(notes) > 10 else ()
-    said = tuple(f"conditioning: {note}" for note in (*notes[:10], *more))
+    told = tuple(dict.fromkeys(note for frame in frames for note in frame.notes))
+    more = (f"and {len(told) - 10} more such notes",) if len(told) > 10 else ()
+    said = tuple(f"conditioning: {note}" for note in (*told[:10], *more))
     return replace(
         sequence,
         poses=np.stack([frame.poses for frame in frames]),
@@ -65,5 +68,5 @@ def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> Pose
         up_axis="y",
         frame="world",
         pelvis=pelvis,
-        notes=(*sequence.notes, *said),
+        notes=(*notes, *said),
     )

@@ -7,7 +7,8 @@ texture), ``Semantic/labels/label-fNNNNN.pkl`` (scan_labels) and ``SMPLX/mesh-fN
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,8 @@ from caphy.scan.scan_set import ScanSet, translated, write_scan_set
 
 LABELS: Final = {0: BODY, 1: BODY, 2: BODY, 3: UPPER, 4: LOWER, 5: UPPER}
 """Skin, hair, shoe, upper, lower, outer garment."""
+Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Pose (55, 3), translation (3,) and betas of a frame."""
 
 
 def convert_take(
@@ -38,17 +41,28 @@ def convert_take(
     strays = {path.stem for path in folder.glob("*.ply")} - {f"f{_frame(path)}" for path in meshes}
     if strays:
         raise CaphyError(f"{folder}: holds other scans ({', '.join(sorted(strays)[:3])}); give an empty folder")
-    scans, frames = [], []
+    frames: list[Motion | None] = []
+    scans = _readable(take, meshes, frames, say)  # one at a time: a take may not fit into memory
+    first = next(scans, None)
+    if first is None:
+        raise CaphyError(f"{take}: none of its {len(meshes)} frames can be read; see the messages above")
+    made = write_scan_set(folder, chain([first], scans), take.name)
+    poses = _poses(take, frames)
+    return made if poses is None else write_scan_set(folder, [], take.name, poses)
+
+
+def _readable(
+    take: Path, meshes: Sequence[Path], frames: list[Motion | None], say: Callable[[str], None]
+) -> Iterator[Scan]:
+    """Scans that can be read, whose motions are added to ``frames``."""
     for path in meshes:
         try:
-            scans.append(_scan(take, path))
-            frames.append(_motion(take, path))
+            scan, motion = _scan(take, path), _motion(take, path)
         except CaphyError as error:
             say(str(error))
-            del scans[len(frames) :]
-    if not scans:
-        raise CaphyError(f"{take}: none of its {len(meshes)} frames can be read; see the messages above")
-    return write_scan_set(folder, scans, take.name, _poses(take, frames))
+            continue
+        frames.append(motion)
+        yield scan
 
 
 def _scan(take: Path, path: Path) -> Scan:
@@ -84,7 +98,7 @@ def _colours(mesh: Mapping[str, Any], path: Path, count: int) -> np.ndarray | No
     return None
 
 
-def _motion(take: Path, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _motion(take: Path, path: Path) -> Motion | None:
     """Pose (55, 3), translation (3,) and betas of a frame, or none where it has no SMPL-X."""
     smplx = take / "SMPLX" / f"mesh-f{_frame(path)}_smplx.pkl"
     if not smplx.is_file():
@@ -101,7 +115,7 @@ def _motion(take: Path, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return pose, _array(given, "transl", smplx).astype(np.float64).reshape(3), betas
 
 
-def _poses(take: Path, frames: list[tuple[np.ndarray, np.ndarray, np.ndarray] | None]) -> PoseSequence | None:
+def _poses(take: Path, frames: Sequence[Motion | None]) -> PoseSequence | None:
     known = [frame for frame in frames if frame is not None]
     if len(known) < len(frames):
         return None

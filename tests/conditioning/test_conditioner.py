@@ -272,3 +272,14 @@ def test_a_steady_motion_is_followed_at_any_rate_and_latency(rate, latency):
     assert len(late) > 5
     assert max(abs(frame.transl[0] - frame.time) for frame in late) < 2e-3
     assert max(abs(frame.poses[0, 1] - frame.time) for frame in late) < 2e-3
+
+
+@pytest.mark.parametrize("fps", [2.0, 4.0])
+def test_few_poses_a_second_of_a_file_are_no_steps(walking, fps):
+    """In a stream nobody knows what comes after a gap so long; in a file one does."""
+    few = walking.resample(fps)
+    made = condition_sequence(few, Conditioner())
+    assert made.fps == 30.0 and any(f"{fps:g} poses a second are few" in note for note in made.notes)
+    turned = np.abs(np.diff(made.poses[:, 16], axis=0)).max()
+    assert turned < 3 * np.abs(np.diff(few.resample(30.0).poses[:, 16], axis=0)).max()
+    assert len(made) == len(few.resample(30.0))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pickle
+import weakref
 
 import numpy as np
 import pytest
 import trimesh
 
 from caphy.errors import CaphyError
+from caphy.scan import dress4d
 from caphy.scan.dress4d import convert_take
 from caphy.scan.scan import BODY, LOWER, UPPER
 from caphy.scan.scan_set import ScanSet
@@ -53,6 +55,30 @@ def test_a_take_becomes_a_scan_set(tmp_path):
     assert scan.pose[0] == pytest.approx(given["global_orient"])
     assert scan.pose[1:22].ravel() == pytest.approx(given["body_pose"])
     assert scan.transl == pytest.approx(1)
+
+
+def test_scans_are_read_one_at_a_time_and_bad_ones_keep_no_pose(tmp_path, monkeypatch):
+    """A take of 80,000 vertices a frame may not fit into memory."""
+    take = _take(tmp_path / "Take1", ("00001", "00002", "00003"))
+    (take / "SMPLX" / "mesh-f00002_smplx.pkl").write_bytes(b"broken")
+    alive, most = [], []
+
+    def noted(scan_of):
+        def scan(take, path):
+            made = scan_of(take, path)
+            alive.append(weakref.ref(made))
+            most.append(sum(each() is not None for each in alive))
+            return made
+
+        return scan
+
+    monkeypatch.setattr(dress4d, "_scan", noted(dress4d._scan))
+    said = []
+    scans = convert_take(take, tmp_path / "set", say=said.append)
+    assert scans.names == ("f00001", "f00003") and len(said) == 1 and "f00002" in said[0]
+    assert max(most) == 2  # the one being read, and the one before it
+    given = pickle.loads((take / "SMPLX" / "mesh-f00003_smplx.pkl").read_bytes())
+    assert scans[1].pose[0] == pytest.approx(given["global_orient"])
 
 
 def test_every_other_frame(tmp_path):

@@ -83,6 +83,16 @@ def test_a_scan_that_lacks_the_garment_is_left_out_and_named(tmp_path, capsys):
     assert "2 scans and their mirror images," in told
 
 
+def test_a_training_does_not_go_on_beneath_another_template(tmp_path, capsys):
+    """Which garment hides which, and whether there are mirror images, was told by the one that was there."""
+    write_run(tmp_path / "run", train=2)
+    write_poses(swaying(40, 0), tmp_path / "motion.npz")
+    assert train(tmp_path, "some", "--steps", "1") == 0
+    tube().save(tmp_path / "run" / "upper.npz")
+    assert train(tmp_path, "some", "--steps", "2", "--resume") == 2
+    assert "was begun with other templates of the run, which have changed since" in capsys.readouterr().err
+
+
 def test_what_it_was_trained_on_is_recorded_without_paths_in_the_record(world):
     record = json.loads((world / "with" / "run.json").read_text())
     assert record["scans_digest"] == digest(read_points(world / "run", "train"))  # 'caphy evaluate' asks for it
