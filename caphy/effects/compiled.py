@@ -175,15 +175,37 @@ class Loop:
         return Loop(kernel, tuple(_frames(field, x) for field in fields), tuple(fixed))
 
 
-def accumulate(loop: Loop, x: Tensor, energy: Tensor, gradient: Tensor) -> None:
-    """Add an effect at positions (..., V, 3) to ``energy`` (...,) and ``gradient`` (..., V, 3), all contiguous."""
-    moving = [_frames(x, x), *loop.fields]
-    sums = energy.view(-1).numpy(), gradient.view(-1, *x.shape[-2:]).numpy()
+@dataclass(frozen=True)
+class Sums:
+    """What kernels read and add to, as arrays made once for all effects.
+
+    Attributes:
+        x: positions (F, V, 3) [m], a frame after another.
+        energy, gradient: sums (F,) [J] and (F, V, 3) [N].
+    """
+
+    x: np.ndarray
+    energy: np.ndarray
+    gradient: np.ndarray
+
+    @staticmethod
+    def of(x: Tensor, energy: Tensor, gradient: Tensor) -> Sums:
+        """Of positions (..., V, 3), ``energy`` (...,) and ``gradient`` (..., V, 3), all contiguous, which are added
+        to."""
+        return Sums(_frames(x, x), energy.view(-1).numpy(), gradient.view(-1, *x.shape[-2:]).numpy())
+
+
+def accumulate(loop: Loop, sums: Sums) -> None:
+    """Add an effect."""
+    if len(sums.x) == 1:
+        loop.kernel(sums.x, *loop.fields, *loop.constants, sums.energy, sums.gradient)
+        return
+    moving, totals = (sums.x, *loop.fields), (sums.energy, sums.gradient)
 
     def run(part: slice) -> None:
-        loop.kernel(*(field[part] for field in moving), *loop.constants, *(total[part] for total in sums))
+        loop.kernel(*(field[part] for field in moving), *loop.constants, *(total[part] for total in totals))
 
-    parts = _parts(len(moving[0]))
+    parts = _parts(len(sums.x))
     if len(parts) == 1:
         run(parts[0])
     else:

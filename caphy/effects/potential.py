@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from caphy.effects.base import HISTORY, BodyState, Effect, Elements, Step, Values
 from caphy.effects.cloth import Cloth
-from caphy.effects.compiled import KERNELS, Arguments, Bound, Loop, accumulate
+from caphy.effects.compiled import KERNELS, Arguments, Bound, Loop, Sums, accumulate
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.effects.trial import irregular_cloth, moment
@@ -205,22 +205,23 @@ class Potential:
         return self._summed(x, step, body)
 
     def _summed(self, x: Tensor, step: Step | None, body: BodyState | None) -> tuple[Tensor, Tensor]:
-        energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
-        for _, term in self.present(step, body):
-            self._add(term, x, step, body, energy, gradient)
-        return energy, gradient
+        return self._sum(self.present(step, body), x, step, body)
 
-    def _add(
-        self, term: Term, x: Tensor, step: Step | None, body: BodyState | None, energy: Tensor, gradient: Tensor
-    ) -> None:
-        loop = self.loop(term, x, step, body) if x.device.type == "cpu" else None
-        if loop is not None:
-            accumulate(loop, x, energy, gradient)
-            return
-        elements = self.elements(term, x, step, body)
-        values, forces = term.effect.gradient(elements, term.values)
-        energy += values.sum(-1)
-        gradient += term.scatter(forces).movedim(0, -1)
+    def _sum(
+        self, terms: Iterable[tuple[str, Term]], x: Tensor, step: Step | None, body: BodyState | None
+    ) -> tuple[Tensor, Tensor]:
+        """Energy (...,) and gradient (..., V, 3) of some terms together."""
+        energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
+        sums = Sums.of(x, energy, gradient) if x.device.type == "cpu" else None
+        for _, term in terms:
+            if sums is not None and (loop := self.loop(term, x, step, body)) is not None:
+                accumulate(loop, sums)
+                continue
+            elements = self.elements(term, x, step, body)
+            values, forces = term.effect.gradient(elements, term.values)
+            energy += values.sum(-1)
+            gradient += term.scatter(forces).movedim(0, -1)
+        return energy, gradient
 
     def loop(self, term: Term, x: Tensor, step: Step | None, body: BodyState | None) -> Loop | None:
         """The kernel of a term at positions like x (..., V, 3) with all that it reads; None where it has none."""
@@ -250,10 +251,7 @@ class Potential:
     def term_gradient(self, name: str, x: Tensor, step: Step | None, body: BodyState | None) -> Tensor:
         """Gradient of one effect's energy [N] at positions (..., V, 3) [m]."""
         self._check(x)
-        x = x.detach().contiguous()
-        energy, gradient = x.new_zeros(x.shape[:-2]), torch.zeros_like(x)
-        self._add(self.terms[name], x, step, body, energy, gradient)
-        return gradient
+        return self._sum([(name, self.terms[name])], x.detach().contiguous(), step, body)[1]
 
     def parameter_gradients(
         self,
@@ -300,11 +298,9 @@ class Potential:
         value, x = term.values[key], x.contiguous()
         found, none = [], torch.zeros_like(value)
         for one in torch.eye(value.numel(), dtype=value.dtype).reshape(-1, *value.shape):
-            gradients = [torch.zeros_like(x), torch.zeros_like(x)]
-            for gradient, there in zip(gradients, (none, one), strict=True):  # to a large value one more adds nothing
-                energy, other = x.new_zeros(x.shape[:-2]), replace(term, values={**term.values, key: there})
-                self._add(other, x, step, body, energy, gradient)
-            found.append(gradients[1] - gradients[0])
+            others = (replace(term, values={**term.values, key: there}) for there in (none, one))
+            without, with_it = (self._sum([("", other)], x, step, body)[1] for other in others)
+            found.append(with_it - without)  # to a large value one more adds nothing
         return torch.stack(found).reshape(*value.shape, *x.shape)
 
     def _check(self, x: Tensor) -> None:
@@ -374,7 +370,7 @@ def _same(name: str, kernel: Callable[[Bound], Arguments | None]) -> bool:
     energy, gradient = at.x.new_zeros(()), torch.zeros_like(at.x)
     arguments = kernel(Bound(term.index, term.rest, term.values, at.step, at.body))
     assert arguments is not None, f"the kernel of {name} must hold in a single frame"
-    accumulate(Loop.of(arguments, at.x), at.x, energy, gradient)
+    accumulate(Loop.of(arguments, at.x), Sums.of(at.x, energy, gradient))
     of_each, forces = term.effect.gradient(elements, term.values)
     wanted = term.scatter(forces).movedim(0, -1)
     energies = of_each.sum(), term.effect.energy(elements, term.values).sum()
