@@ -3,6 +3,10 @@
 Fronts are numbered in elimination order. Front f has ``width[f]`` columns of its own, from ``first[f]`` on, among
 ``height[f]`` rows, all counted in vertices (3 scalars each); ``rows[start[f]:]`` are its rows in elimination order. Its
 part of the factor is a column-major panel at ``panel[f]``, what it passes on a column-major square at ``update[f]``.
+
+Routines are told addresses. What lies there must live as long as the loop: of a local array whose address alone is used
+numba gives the memory away before, and whatever the routines allocate may overwrite it. ``letters`` and ``scalars``
+(:func:`told`) therefore come from outside.
 """
 
 from __future__ import annotations
@@ -15,17 +19,22 @@ from caphy.solve.lapack import call
 _compiled = numba.njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
 
 NO, TRANSPOSED, LEFT, RIGHT, LOWER = 0, 1, 2, 3, 4
-_LETTERS = np.frombuffer(b"NTLRL", dtype=np.uint8)
+_TOLD = {d: (np.array(list(b"NTLRL"), np.uint8), np.array([1.0, -1.0, 0.0], d)) for d in (np.float32, np.float64)}
+
+
+def told(dtype: type) -> tuple[np.ndarray, np.ndarray]:
+    """What routines of a precision are told by address, and only read: letters, and the numbers 1, -1 and 0."""
+    return _TOLD[dtype]
 
 
 @_compiled
-def factorize(blocks, entries, fronts, children, panels, updates, potrf, trsm, syrk):
+def factorize(blocks, entries, fronts, children, panels, updates, letters, scalars, potrf, trsm, syrk):
     """Factorise the matrix of ``blocks`` (B, 3, 3) into ``panels``; False unless it is positive definite."""
     entry_start, entry_block, entry_row, entry_column = entries
     width, height, panel, update = fronts
     child_start, child, place_start, place = children
-    letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
-    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0, 0.0], panels.dtype)
+    item = np.uint64(panels.itemsize)
+    integers = np.zeros(5, np.int32)
     letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
     no, turned = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED)
     right, lower = letter + np.uint64(RIGHT), letter + np.uint64(LOWER)
@@ -92,11 +101,11 @@ def _add_to_square(passed, own, rest, child, place):
 
 
 @_compiled
-def solve_one(right, fronts, first, start, rows, panels, trsv, gemv):
+def solve_one(right, fronts, first, start, rows, panels, letters, scalars, trsv, gemv):
     """Replace ``right`` (3 V,), in elimination order, by the solution."""
     width, height, panel, _ = fronts
-    letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
-    integers, scalars = np.zeros(4, np.int32), np.array([1.0, -1.0], panels.dtype)
+    item = np.uint64(panels.itemsize)
+    integers = np.zeros(4, np.int32)
     letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
     no, turned, lower = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED), letter + np.uint64(LOWER)
     n, m, ld, unit = integer, integer + np.uint64(4), integer + np.uint64(8), integer + np.uint64(12)
@@ -131,12 +140,12 @@ def solve_one(right, fronts, first, start, rows, panels, trsv, gemv):
 
 
 @_compiled
-def solve_many(right, fronts, first, start, rows, panels, trsm, gemm):
+def solve_many(right, fronts, first, start, rows, panels, letters, scalars, trsm, gemm):
     """Replace ``right`` (K, 3 V), in elimination order, by the solutions."""
     width, height, panel, _ = fronts
     count, total = right.shape
-    letters, item = _LETTERS.copy(), np.uint64(panels.itemsize)
-    integers, scalars = np.zeros(5, np.int32), np.array([1.0, -1.0, 0.0], panels.dtype)
+    item = np.uint64(panels.itemsize)
+    integers = np.zeros(5, np.int32)
     letter, integer, scalar = letters.ctypes.data, integers.ctypes.data, scalars.ctypes.data
     no, turned = letter + np.uint64(NO), letter + np.uint64(TRANSPOSED)
     left, lower = letter + np.uint64(LEFT), letter + np.uint64(LOWER)

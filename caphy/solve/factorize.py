@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from caphy.solve import factor_kernels
+from caphy.solve.factor_kernels import told
 from caphy.solve.lapack import GEMM, GEMV, POTRF, SYRK, TRSM, TRSV
 from caphy.solve.ordering import Separator
 
@@ -50,7 +51,7 @@ class Symbolic:
         """
         spare = self._spare[dtype]
         panels = spare.pop() if spare else np.empty(self._size, dtype)
-        given = (blocks, self._entries, self._fronts, self._children, panels, self._updates[dtype])
+        given = (blocks, self._entries, self._fronts, self._children, panels, self._updates[dtype], *told(dtype))
         if factor_kernels.factorize(*given, POTRF[dtype], TRSM[dtype], SYRK[dtype]):
             return Factor(self, panels)
         spare.append(panels)
@@ -69,7 +70,7 @@ class Factor:
         s, dtype = self._symbolic, self._panels.dtype.type
         columns = right.reshape(*right.shape[:2], -1)[s.order].transpose(2, 0, 1)
         columns = np.array(columns, dtype=dtype, order="C").reshape(len(columns), -1)
-        where = (s._fronts, s._first, s._start, s._rows, self._panels)
+        where = (s._fronts, s._first, s._start, s._rows, self._panels, *told(dtype))
         if len(columns) == 1:
             factor_kernels.solve_one(columns[0], *where, TRSV[dtype], GEMV[dtype])
         else:

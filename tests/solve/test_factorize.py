@@ -1,5 +1,7 @@
 """The sparse Hessian and its factor against dense linear algebra and automatic differentiation."""
 
+import ctypes
+
 import numpy as np
 import pytest
 import torch
@@ -37,6 +39,30 @@ def test_solves_like_dense_algebra(sheet):
     found = symbolic.factorize(values).solve(right)
     expected = np.linalg.solve(dense, right.reshape(len(dense), 4)).reshape(right.shape)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_what_routines_are_told_stays_in_memory_while_they_work(sheet, monkeypatch):
+    """A routine that allocates, as BLAS does when it is first called, must not overwrite its own arguments."""
+    libc = ctypes.CDLL(None)
+    libc.malloc.restype, libc.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
+    seen = []
+
+    @ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 11)
+    def trsm(side, lower, turned, unit, m, n, one, a, lda, b, ldb):
+        for size in range(16, 513, 8):
+            for _ in range(20):
+                ctypes.memset(libc.malloc(size), 0xFF, size)
+        letters = b"".join(ctypes.string_at(each, 1) for each in (side, lower, turned, unit))
+        seen.append((letters, ctypes.c_double.from_address(one).value))
+
+    symbolic, _, values, _ = mesh_matrix(sheet, np.random.default_rng(6))
+    address = {np.float64: np.uint64(ctypes.cast(trsm, ctypes.c_void_p).value)}
+    factor = symbolic.factorize(values)
+    monkeypatch.setattr("caphy.solve.factorize.TRSM", address)
+    factor.solve(np.zeros((len(symbolic.order), 3, 2)))
+    symbolic.factorize(values)
+    assert {one for _, one in seen} == {1.0}
+    assert {letters for letters, _ in seen} == {b"RLTN", b"LLNN", b"LLTN"}
 
 
 def test_a_factor_survives_later_factorisations(sheet):
