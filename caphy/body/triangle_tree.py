@@ -8,7 +8,8 @@ Detection, section 5.1.5; signs the angle-weighted pseudonormals of Baerentzen a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from caphy.jit import compiled
 
 ON_SURFACE = 1e-10
 """Below this distance [m] the direction to the nearest point is rounding noise; the pseudonormal is answered."""
@@ -18,7 +19,7 @@ ON_SIDE = 1e-9
 _STACK = 64
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def build_order(centres, leaves):
     """Faces (F,) in the order of the tree's ``leaves`` (a power of two), and the leaf bounds (leaves + 1,)."""
     order = np.arange(len(centres))
@@ -34,7 +35,7 @@ def build_order(centres, leaves):
     return order, bounds
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def refit(vertices, faces, order, bounds, low, high):
     """Recompute the boxes ``low``, ``high`` (2 * leaves, 3) in place for moved ``vertices``."""
     leaves = len(bounds) - 1
@@ -52,7 +53,7 @@ def refit(vertices, faces, order, bounds, low, high):
             high[node, axis] = max(high[2 * node, axis], high[2 * node + 1, axis])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(nogil=True, inline="always")
 def _box_square(x, y, z, low, high, node):
     dx = max(low[node, 0] - x, 0.0, x - high[node, 0])
     dy = max(low[node, 1] - y, 0.0, y - high[node, 1])
@@ -60,7 +61,7 @@ def _box_square(x, y, z, low, high, node):
     return dx * dx + dy * dy + dz * dz
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _closest_on_triangle(px, py, pz, vertices, i, j, k):
     """Squared distance and barycentric weights of the point of triangle (i, j, k) nearest to p.
 
@@ -101,7 +102,7 @@ def _closest_on_triangle(px, py, pz, vertices, i, j, k):
     return rx * rx + ry * ry + rz * rz, u, v, w
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _nearest_face(x, y, z, vertices, faces, order, bounds, low, high, guess, stack, reached):
     """Nearest face and the weights of the point on it; ``guess`` (a face, or -1) bounds the search from the start."""
     leaves = len(bounds) - 1
@@ -137,7 +138,7 @@ def _nearest_face(x, y, z, vertices, faces, order, bounds, low, high, guess, sta
     return face, u, v, w
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _add_face_normal(vertices, faces, f, corner, normal):
     """Add face f's unit normal, times its angle at ``corner`` unless that is -1, to ``normal`` in place."""
     shift = max(corner, 0)
@@ -153,7 +154,7 @@ def _add_face_normal(vertices, faces, f, corner, normal):
         normal[2] += scale * nz
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _pseudonormal(vertices, faces, neighbours, starts, incident, f, weights, normal):
     """Fill ``normal`` (not of unit length) of the face, edge or vertex of face f that ``weights`` (3,) lie on."""
     normal[:] = 0
@@ -170,7 +171,7 @@ def _pseudonormal(vertices, faces, neighbours, starts, incident, f, weights, nor
             _add_face_normal(vertices, faces, other, -1, normal)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def query(points, vertices, faces, order, bounds, low, high, neighbours, starts, incident, guess):
     """Nearest faces (N,), weights (N, 3), points (N, 3), normals (N, 3) and signed distances (N,) of points (N, 3)."""
     count = len(points)

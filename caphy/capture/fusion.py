@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from caphy.capture.cameras import View
+from caphy.jit import compiled
 
 LEAST_VIEWS = 2
 """Cameras that must have seen a place for it to be part of the scan."""
@@ -88,7 +88,7 @@ def _field(views: list[View], near: np.ndarray, low: np.ndarray, voxel: float) -
     return np.where(weight > 0, total / np.maximum(weight, 1e-12), 1.0).astype(np.float32), count
 
 
-@njit(cache=True)
+@compiled()
 def _integrate(
     near, low, voxel, reach, origin, axes, pixel, depth, facing, total, weight, count
 ):  # pragma: no cover - compiled

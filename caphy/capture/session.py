@@ -139,7 +139,9 @@ def _claim(plan: Plan, folder: Path, truth: Path) -> bool:
         write_text(path, json.dumps(told, indent=1))
         return True
     before = _read(path)
-    if _CONTENT not in before or before | {"clips": plan.clips} != json.loads(json.dumps(told)):
+    if before.get(_CONTENT) is not None:  # else it was begun before that was written down, or has no clips
+        before["clips"] = plan.clips
+    if {_CONTENT: told[_CONTENT], **before} != json.loads(json.dumps(told)):
         raise CaphyError(f"{folder}: holds another session ({path}); choose another folder, or delete this one")
     return False
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 from functools import partial
 from math import sqrt
 
-import numba
 import numpy as np
+
+from caphy.jit import compiled
 
 COLLAPSED = 1e-13
 """Four times the squared area [m^4] below which a triangle counts as collapsed: a thousandth of the usual area."""
@@ -18,9 +19,7 @@ COLLAPSED = 1e-13
 FAR = 1e6
 """Metres beyond which no cloth is. (``isfinite`` is always true under ``reassoc``, which takes x - x for zero.)"""
 
-_compiled = partial(
-    numba.njit, cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy"
-)
+_compiled = partial(compiled, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
 _inlined = partial(_compiled, forceinline=True)
 """As in :mod:`caphy.effects.kernels`: the same numbers, whether compiled just now or found in the cache."""
 

@@ -167,12 +167,13 @@ def _parted(
     for name, what in (("vertices", "another shape"), *((name, f"other {name}") for name in REALS)):
         if not np.allclose(getattr(worn, name), getattr(garment, name), rtol=0, atol=1e-6):
             return f"on a garment of the same mesh and {what.replace('_', ' ')}"
-    if clips != names:
+    was, given = before.get(CONTENTS, {}), contents(options, trained)
+    same = len(clips) == len(names) and was.get("motions") == given["motions"] and "motions" in was
+    if clips != names and not same:  # files may have been renamed since
         one = next((name for name in (*clips, *names) if name not in clips or name not in names), "in another order")
         return f"on other motions, {len(clips)} in all, not {len(names)} ({one})"
     if Model.load(options.output / MODEL) != model:
         return f"under another model, kept in {options.output / MODEL}"
-    was, given = before.get(CONTENTS, {}), contents(options, trained)
     other = [name for name in was if name in given and was[name] != given[name]]
     return f"with other {' and '.join(other)}, which have changed since" if other else ""
 

@@ -232,13 +232,17 @@ def _network(folder: Path, subject: Subject, kind: str) -> Guess | None:
 
 def _require_trainable(run: Path, kind: str) -> None:
     """Raise CaphyError where alternations, which come after rounds that may take hours, could not be."""
-    from caphy.commands.begun import OPTIONS
+    from caphy.commands.begun import OPTIONS, option
     from caphy.commands.onward import require_own
 
-    if not (run / TRAINED / kind / OPTIONS).is_file():
-        raise CaphyError(
-            f"{run / TRAINED / kind}: --alternations trains on what 'caphy train' wrote there, and it is no such folder"
-        )
+    folder = run / TRAINED / kind
+    if not (folder / OPTIONS).is_file():
+        raise CaphyError(f"{folder}: --alternations trains on what 'caphy train' wrote there, and it is no such folder")
+    for name in ("poses", "held_out"):
+        given = json.loads((folder / OPTIONS).read_text()).get(name, ())
+        for path in option("Path", given, folder.resolve()):
+            if not path.exists():
+                raise CaphyError(f"{path}: motions that {folder} was trained on must be there for --alternations")
     require_own(run / ALTERNATED / kind)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -107,7 +108,8 @@ def _check(options: Fit) -> None:
     if missing:
         raise CaphyError(f"{missing[0]}: there is no such file or folder")
     for path in options.poses:
-        if options.output.resolve().is_relative_to(path.resolve()):
+        places = options.output.resolve(), Path(os.path.abspath(options.output))  # it may be a link in there
+        if any(place.is_relative_to(folder) for place in places for folder in (path.resolve(), path.absolute())):
             raise CaphyError(
                 f"--poses {path}: must not hold the folder of the run, {options.output}, whose own files would be "
                 "taken for motions; give the folder of the motions alone, or another with -o"

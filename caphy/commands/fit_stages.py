@@ -134,7 +134,10 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
         ),
         Stage(
             "evaluate", "holding it against the scans left out of training", lambda: _evaluate(plan),
-            inputs=(*labelled, *subject, run / FABRIC, *trained, *refined, *collided, run / "rows", *_files(plan.vgg)),
+            inputs=(
+                *labelled, *subject, run / FABRIC, run / "garments.json", *trained, *refined, *collided, run / "rows",
+                *_files(plan.vgg),
+            ),
             outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=5 + 0.9 * count,
             may_fail=True,
         ),
@@ -243,8 +246,13 @@ def _train_one(plan: Plan, kind: str, folder: Path, share: float, physics: Seque
 
 
 def _has_models(run: Path) -> bool:
-    """Whether the models of all fabrics that were fitted are there."""
-    return all((run / fitted["model_file"]).is_file() for fitted in read(run, FABRIC).get("garments", {}).values())
+    """Whether fabrics were fitted, and the models of all are there."""
+    told = read(run, FABRIC)
+    fitted = told.get("garments") if isinstance(told, dict) else None
+    if not fitted or not isinstance(fitted, dict):
+        return False
+    names = [each.get("model_file") if isinstance(each, dict) else None for each in fitted.values()]
+    return all(isinstance(name, str) and (run / name).is_file() for name in names)
 
 
 def _fabric(plan: Plan) -> None:

@@ -296,9 +296,15 @@ def reopen(folder: Path, poses: tuple[Path, ...] = ()) -> Trainer:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
     on = replace(options, output=folder, init=folder, transfer=None, fabric=None, model=folder / "model.json")
     if poses and on.poses:
-        on = replace(on, poses=poses)
+        on = replace(on, poses=poses, held_out=tuple(_found_again(path, poses) for path in on.held_out))
         require_same_motions(folder, _clips(on)[0])
     return prepare(on, record=False)
+
+
+def _found_again(path: Path, poses: tuple[Path, ...]) -> Path:
+    """A file or folder of motions, or what is called so among ``poses`` where it is not there any more."""
+    among = (each for place in poses for each in (place, *(place.rglob(path.name) if place.is_dir() else ())))
+    return path if path.exists() else next((each for each in among if each.name == path.name), path)
 
 
 def _found(options: Train) -> Train:

@@ -93,9 +93,12 @@ def main(arguments: list[str]) -> None:
 
 
 def _names(clips: Sequence[PoseSequence]) -> list[str]:
-    """Names of the clips' files, with their folders and, a number if they are of one file, where several are alike."""
-    names = [Path(clip.source).name for clip in clips]
-    told = [name if names.count(name) == 1 else clip.source for name, clip in zip(names, clips, strict=True)]
+    """Names of the clips' files; where some are alike, with what tells their folders apart, or a number."""
+    parts = [Path(clip.source).parts for clip in clips]
+    most = len(set(parts))
+    length = next(n for n in range(1, max(map(len, parts)) + 1) if len({each[-n:] for each in parts}) == most)
+    names, tails = [each[-1] for each in parts], ["/".join(each[-length:]) for each in parts]  # avatars carry them on:
+    told = [name if names.count(name) == 1 else tail for name, tail in zip(names, tails, strict=True)]  # no whole paths
     return [one if told.count(one) == 1 else f"{one} ({told[: i + 1].count(one)})" for i, one in enumerate(told)]
 
 

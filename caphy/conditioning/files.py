@@ -51,7 +51,7 @@ def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> Pose
         raise CaphyError(f"{sequence.source}: is in {sequence.frame} axes, conditioning was set up for {wanted}")
     pelvis = conditioner.body.joints[0]
     seen, notes = as_seen(sequence).about(pelvis), sequence.notes
-    if seen.fps * BRIDGE <= 1 + 1e-9:  # a stream could not know what comes after; a file does
+    if len(seen) > 1 and seen.fps * BRIDGE <= 1 + 1e-9:  # a stream could not know what comes after; a file does
         notes = (*notes, f"conditioning: {seen.fps:g} poses a second are few; between them joints turn evenly")
         seen = seen.resample(conditioner.settings.fps)
     frames = condition(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, seen.transl)

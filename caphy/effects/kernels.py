@@ -11,15 +11,13 @@ from __future__ import annotations
 from functools import partial
 from math import atan2, floor, pi, sqrt
 
-import numba
-
 from caphy.effects.hinge import COLLAPSED
 from caphy.effects.strain_measured import LARGEST, SMOOTHING
+from caphy.jit import compiled
 from caphy.material.fabrics import BEND_SPACING, LOADED_TWICE, STRETCH_SAMPLED
 
 _compiled = partial(
-    numba.njit,
-    cache=True,
+    compiled,
     nogil=True,
     fastmath={"contract", "reassoc", "arcp", "nsz"},
     error_model="numpy",

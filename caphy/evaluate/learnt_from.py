@@ -44,7 +44,7 @@ def require_same_scans(folder: Path, kinds: Sequence[str], digest: str) -> None:
 
 def chosen_by_held_out(run: Path, kinds: Sequence[str], held_out: Sequence[str]) -> dict[str, list[str]]:
     """Of each garment of a run, the scans held out by which 'caphy register garments' chose its template."""
-    chosen = _json(run / TEMPLATES)
+    chosen = _json(run / TEMPLATES, "choose templates again with 'caphy register garments'")
     among = {kind: [name for name in held_out if name in chosen.get(kind, {}).get("scans", ())] for kind in kinds}
     return {kind: names for kind, names in among.items() if names}
 
@@ -67,8 +67,8 @@ def learnt_from(folder: Path) -> Iterator[str]:
         yield from learnt_from(path_of(begun, folder.resolve())) if before is None else before
 
 
-def _json(path: Path) -> dict[str, Any]:
+def _json(path: Path, remedy: str = "train again, or take an earlier copy") -> dict[str, Any]:
     try:
         return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     except (OSError, ValueError) as error:
-        raise CaphyError(f"{path}: cannot be read as JSON: {error}; train again, or take an earlier copy") from error
+        raise CaphyError(f"{path}: cannot be read as JSON: {error}; {remedy}") from error

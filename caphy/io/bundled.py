@@ -10,7 +10,7 @@ import caphy
 
 OURS: Final = "caphy:"
 """How the path of what comes with caphy begins in a record."""
-_DATA: Final = Path(caphy.__file__).parent / "data"
+_DATA: Final = Path(caphy.__file__).resolve().parent / "data"
 
 
 def bundled(path: Path) -> Path:
@@ -22,7 +22,7 @@ def bundled(path: Path) -> Path:
 def recorded(path: Path) -> str | None:
     """What a record says of something that comes with caphy; nothing of all else."""
     path = path.resolve()
-    return f"{OURS}{path.relative_to(_DATA.resolve()).as_posix()}" if path.is_relative_to(_DATA.resolve()) else None
+    return f"{OURS}{path.relative_to(_DATA).as_posix()}" if path.is_relative_to(_DATA) else None
 
 
 def path_of(told: str, folder: Path) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from caphy.io.places import write_text
 from caphy.pipeline.stage import Stage
 
 FOLDER = "stages"
+SCHEME = 2
+"""How keys are told: since names and places of files do not count."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,7 @@ class Entry:
     failure: str | None = None
     code: str = ""
     """Digest of the code of caphy that finished it, and of the data that come with it."""
+    scheme: int = 1
 
 
 class Ledger:
@@ -43,7 +47,17 @@ class Ledger:
 
     def write(self, stage: Stage, entry: Entry) -> None:
         """Remember a stage, whole or not at all."""
-        write_text(self.record(stage), json.dumps(asdict(entry), indent=1))
+        write_text(self.record(stage), json.dumps({**asdict(entry), "scheme": SCHEME}, indent=1))
+
+    def require_known(self, stages: Sequence[Stage]) -> None:
+        """Raise CaphyError where stages were begun by an earlier caphy, whose keys say nothing of their inputs now: all
+        that was made would be removed."""
+        old = [stage.name for stage in stages if (entry := self.entry(stage)) is not None and entry.scheme != SCHEME]
+        if old:
+            raise CaphyError(
+                f"{self.folder.parent}: was begun by an earlier caphy, which told inputs of stages otherwise "
+                f"({', '.join(old)}); go on with that one, or give another folder for the run. Nothing was changed"
+            )
 
     def record(self, stage: Stage) -> Path:
         """The file of its entry."""

@@ -55,6 +55,7 @@ def run_stages(stages: Sequence[Stage], run: Path, say: Callable[[str], None] = 
         CaphyError: a stage failed that the rest needs; what was done is kept.
     """
     ledger, outcome, pace = Ledger(run), Outcome(), Pace()
+    ledger.require_known(stages)
     for number, stage in enumerate(stages):
         head = f"[{number + 1} of {len(stages)}] {stage.what}"
         if ledger.up_to_date(stage):

@@ -31,8 +31,8 @@ class Stage:
     run: Callable[[], None]
     """Does it; raises :class:`caphy.errors.CaphyError` where it cannot."""
     inputs: tuple[Path, ...] = ()
-    """Files and folders whose content it depends on, wherever they lie and whatever they are called; those that are
-    missing count as empty."""
+    """Files and folders whose content it depends on, wherever they lie and whatever they are called (names within a
+    folder are of its content); those that are missing count as empty."""
     outputs: tuple[Path, ...] = ()
     """Files and folders that it writes, and nobody else."""
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -19,7 +19,7 @@ from caphy.errors import CaphyError
 from caphy.io.pickles import read_pickle
 from caphy.io.poses import PoseSequence
 from caphy.scan.scan import BODY, LOWER, UPPER, Scan
-from caphy.scan.scan_set import ScanSet, translated, write_scan_set
+from caphy.scan.scan_set import ScanSet, translated, write_scan_set, write_scans
 
 LABELS: Final = {0: BODY, 1: BODY, 2: BODY, 3: UPPER, 4: LOWER, 5: UPPER}
 """Skin, hair, shoe, upper, lower, outer garment."""
@@ -46,9 +46,8 @@ def convert_take(
     first = next(scans, None)
     if first is None:
         raise CaphyError(f"{take}: none of its {len(meshes)} frames can be read; see the messages above")
-    made = write_scan_set(folder, chain([first], scans), take.name)
-    poses = _poses(take, frames)
-    return made if poses is None else write_scan_set(folder, [], take.name, poses)
+    write_scans(folder, chain([first], scans))
+    return write_scan_set(folder, [], take.name, _poses(take, frames))
 
 
 def _readable(
@@ -58,6 +57,7 @@ def _readable(
     for path in meshes:
         try:
             scan, motion = _scan(take, path), _motion(take, path)
+            _poses(path, [motion])  # raises unless it is one
         except CaphyError as error:
             say(str(error))
             continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
@@ -179,15 +179,11 @@ def translated(numbers: np.ndarray, meaning: Mapping[int, int] | None, where: Pa
     return table[numbers]
 
 
-def write_scan_set(
-    folder: Path, scans: Iterator[Scan] | list[Scan], name: str, poses: PoseSequence | None = None
-) -> ScanSet:
+def write_scan_set(folder: Path, scans: Iterable[Scan], name: str, poses: PoseSequence | None = None) -> ScanSet:
     """Write scans as a set in metres with y up: PLY files with colours and labels, ``scans.toml``, ``poses.npz``."""
     from caphy.io.poses.canonical import write_poses
 
-    folder.mkdir(parents=True, exist_ok=True)
-    for scan in scans:
-        write_ply(folder / f"{scan.name}.ply", MeshFile(scan.vertices, scan.faces, scan.colours, scan.labels))
+    write_scans(folder, scans)
     lines = {"name": name, "unit": "m", "up_axis": "y", "scans": "*.ply"}
     if poses is not None:
         write_poses(poses, folder / "poses.npz")
@@ -195,6 +191,13 @@ def write_scan_set(
     text = "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in lines.items())
     write_text(folder / DESCRIPTION, text)
     return ScanSet.read(folder)
+
+
+def write_scans(folder: Path, scans: Iterable[Scan]) -> None:
+    """Write the scans of a set without its description, in metres with y up."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for scan in scans:
+        write_ply(folder / f"{scan.name}.ply", MeshFile(scan.vertices, scan.faces, scan.colours, scan.labels))
 
 
 def _description(folder: Path) -> dict[str, Any]:

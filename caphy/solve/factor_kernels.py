@@ -11,12 +11,12 @@ numba gives the memory away before, and whatever the routines allocate may overw
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from caphy.jit import compiled
 from caphy.solve.lapack import call
 
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
+_compiled = compiled(nogil=True, error_model="numpy", boundscheck=False)
 
 NO, TRANSPOSED, LEFT, RIGHT, LOWER = 0, 1, 2, 3, 4
 _TOLD = {d: (np.array(list(b"NTLRL"), np.uint8), np.array([1.0, -1.0, 0.0], d)) for d in (np.float32, np.float64)}

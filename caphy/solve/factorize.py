@@ -39,20 +39,26 @@ class Symbolic:
         panel = np.concatenate([[0], np.cumsum(9 * width * height)])
         update, passed = _stacked(separators, 9 * (height - width) ** 2)
         self._fronts = (width, height, panel[:-1], update)
+        columns = [np.arange(3 * own) for own in width]
+        self._pivots = np.concatenate(
+            [at + each * (3 * high + 1) for at, each, high in zip(panel, columns, height, strict=False)]
+        )
         self._entries = _entries(rows, np.searchsorted(stop, column, side="right"), row, column)
         self._children = _children(separators, rows, later)
         self._updates = {dtype: np.empty(passed, dtype) for dtype in POTRF}
         self._size, self._spare = int(panel[-1]), {dtype: [] for dtype in POTRF}
 
     def factorize(self, blocks: np.ndarray, dtype: type = np.float64) -> Factor | None:
-        """The Cholesky factor of the matrix of ``blocks`` (B, 3, 3); None unless it is positive definite.
+        """The Cholesky factor of the matrix of ``blocks`` (B, 3, 3); None unless it is positive definite, which it is
+        not with an entry that is no number.
 
         ``dtype`` is the precision to work in: numpy.float32 takes about half the time.
         """
         spare = self._spare[dtype]
         panels = spare.pop() if spare else np.empty(self._size, dtype)
         given = (blocks, self._entries, self._fronts, self._children, panels, self._updates[dtype], *told(dtype))
-        if factor_kernels.factorize(*given, POTRF[dtype], TRSM[dtype], SYRK[dtype]):
+        done = factor_kernels.factorize(*given, POTRF[dtype], TRSM[dtype], SYRK[dtype])
+        if done and np.isfinite(panels[self._pivots]).all():  # to some versions of LAPACK NaN is as good as any
             return Factor(self, panels)
         spare.append(panels)
         return None
@@ -68,6 +74,8 @@ class Factor:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solutions of H s = right for vertex fields ``right`` (V, 3) or (V, 3, K) with K columns."""
         s, dtype = self._symbolic, self._panels.dtype.type
+        if right.size == 0:
+            return np.zeros(right.shape)
         columns = right.reshape(*right.shape[:2], -1)[s.order].transpose(2, 0, 1)
         columns = np.array(columns, dtype=dtype, order="C").reshape(len(columns), -1)
         where = (s._fronts, s._first, s._start, s._rows, self._panels, *told(dtype))

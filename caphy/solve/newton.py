@@ -38,6 +38,7 @@ _FALLS = 0.5  # by which it must fall with that, or else a new one comes next
 _STATIC_NEAR, _STATIC_FALLS = 40, 0.3  # in statics; what does not fall by that is not gone to
 _MEMORY = 8  # moves that an earlier factor is corrected along
 _BEYOND = 0.1  # of the tolerance: where to a time step goes on while an earlier factor helps
+_HARDEST = 1e30  # damping [1/s^2] beyond which a Hessian is not indefinite but no number
 _HELD = 3.0  # times its inertia: what holds a vertex that is pressed into the body, elasticity included
 _PROJECTIONS = (1e-6, 0.5, 1.0)  # tried one after the other; the first is exact but for contact inside the body
 
@@ -240,7 +241,7 @@ class Newton:
             curvature: what an earlier minimisation left, and this one leaves to the next.
 
         Raises:
-            Diverged: the guess or its energy is not finite.
+            Diverged: the guess, its energy or the slope of its forces is not finite.
         """
         curvature = Curvature() if curvature is None else curvature
         curvature.begin(step)
@@ -270,6 +271,7 @@ class Newton:
             if there is None and leaps < _LEAPS and step is not None:
                 leaps += 1
                 there, fraction = self._evaluate(here.x + 0.5 * torch.from_numpy(direction), step, here.body), 0.5
+                there = there if np.isfinite(there.energy) and np.isfinite(there.gradient).all() else None
             if there is None:
                 if damping > 1e12:
                     return here.x, Report(False, iteration, here.residual, "no descent: the energy is not smooth here")
@@ -371,6 +373,11 @@ class Newton:
             factor = self.hessian.factorize(shifted)
             if factor is not None:
                 return factor, damping
+            if damping > _HARDEST:
+                raise Diverged(
+                    "forces must have a finite slope where their energy is finite, but have none here: look for a root "
+                    "or a quotient of nothing in effects of your own (caphy effects check); check pose and garment"
+                )
             damping = max(10 * damping, 1e-3)
 
     def _search(

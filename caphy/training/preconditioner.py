@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import torch
 from scipy.sparse import csc_array, sparray, tril
 from scipy.sparse.linalg import splu
 from torch import Tensor
 
+from caphy.jit import compiled
+
 TYPICAL_OFFSET = 0.01
 """Root-mean-square offset that the coordinates make of white ones of one [m]."""
 
 _AT_ONCE = 256  # columns: bounds memory
 
-_compiled = numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy", boundscheck=False)
+_compiled = compiled(nogil=True, fastmath={"contract"}, error_model="numpy", boundscheck=False)
 
 
 class Preconditioner:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -155,6 +156,11 @@ def test_a_session_goes_on_with_motions_that_were_moved_but_not_with_others(tmp_
     assert not _claim(replace(PLAN, clips=str(tmp_path / "two")), truth.parent, truth)
     with pytest.raises(CaphyError, match="holds another session"):
         _claim(replace(PLAN, clips=str(tmp_path / "three")), truth.parent, truth)
+    told = json.loads((truth / "plan.json").read_text())
+    (truth / "plan.json").write_text(json.dumps({name: told[name] for name in told if name != "content_of_the_clips"}))
+    assert not _claim(replace(PLAN, clips=str(tmp_path / "one")), truth.parent, truth)  # of an earlier caphy
+    with pytest.raises(CaphyError, match="holds another session"):
+        _claim(replace(PLAN, clips=str(tmp_path / "two")), truth.parent, truth)
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,10 @@ def test_a_fabric_made_by_hand_after_its_fit_failed_is_kept(tmp_path, monkeypatc
     (tmp_path / "fabric.json").write_text('{"garments": {"upper": {"model_file": "fabric_upper.json"}}}')
     assert list(run_stages(one, tmp_path).failed) == ["fabric"] and not (tmp_path / "fabric.json").exists()
     (tmp_path / "fabric.json").write_text('{"garments": {"upper": {"model_file": "fabric_upper.json"}}}')
+    for other in ("[]", '{"garments": {}}', '{"garments": {"upper": {}}}', '{"density_kg_per_m2": 0.2, "effects": {}}'):
+        (tmp_path / "fabric.json").write_text(other)
+        assert list(run_stages(one, tmp_path).failed) == ["fabric"]
+    (tmp_path / "fabric.json").write_text('{"garments": {"upper": {"model_file": "fabric_upper.json"}}}')
     (tmp_path / "fabric_upper.json").write_text("by hand")
     assert run_stages(one, tmp_path).done == ["fabric"] and run_stages(one, tmp_path).kept == ["fabric"]
     assert (tmp_path / "fabric_upper.json").read_text() == "by hand"

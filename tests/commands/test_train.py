@@ -184,11 +184,22 @@ def test_what_comes_with_caphy_is_remembered_by_name(inputs):
     assert not list(learnt_from(inputs / "run"))  # the default avatar knows no scans
 
 
+def test_a_training_goes_on_with_motions_that_were_renamed(inputs, capsys):
+    assert train(inputs) == 0
+    (inputs / "motions" / "1.npz").rename(inputs / "motions" / "walk.npz")
+    assert train(inputs, "--resume", "--steps", "3") == 0
+    assert json.loads((inputs / "run" / "run.json").read_text())["trained_on"] == ["0.npz", "walk.npz"]
+    write_poses(swaying(30, 7), inputs / "motions" / "walk.npz")
+    assert train(inputs, "--resume", "--steps", "4") == 2
+    assert "with other motions, which have changed since" in capsys.readouterr().err
+
+
 def test_a_training_is_opened_again_on_motions_that_were_moved(inputs):
     from caphy.commands.train import reopen
 
     assert train(inputs) == 0
     (inputs / "motions").rename(inputs / "elsewhere")
+    (inputs / "unseen.npz").rename(inputs / "elsewhere" / "unseen.npz")
     with pytest.raises(CaphyError, match="motions"):
         reopen(inputs / "run")
     trainer = reopen(inputs / "run", (inputs / "elsewhere",))

@@ -53,6 +53,8 @@ def test_motions_of_one_name_are_told_apart(tmp_path):
     assert _names([walk, run]) == ["walk.npz", "run.npz"]
     other = replace(walk, source="b/walk.npz")
     assert _names([walk, other, walk]) == ["a/walk.npz (1)", "b/walk.npz", "a/walk.npz (2)"]
+    walk, other = (replace(walk, source=f"/home/somebody/{folder}/walk.npz") for folder in "ab")
+    assert _names([walk, other]) == ["a/walk.npz", "b/walk.npz"]  # avatars carry them on
 
 
 def test_held_out_motions_are_found_from_any_folder(tmp_path, monkeypatch, capsys):

@@ -50,7 +50,7 @@ def test_density_must_be_positive(density: float) -> None:
         '{"density_kg_per_m2": "0.2", "effects": {}}',
         '{"density_kg_per_m2": 200, "effects": {}}',
         '{"density_kg_per_m2": 0.2, "effects": {}, "schema": 9}',
-        '{"density_kg_per_m2": 0.2, "effects": {"extra_mass": {"density": -0.2}}}',
+        '{"density_kg_per_m2": 0.2, "effects": {"gravity": {}, "inertia": {}, "extra_mass": {"density": -0.2}}}',
         '{"density_kg_per_m2": 0.2, "effects": {"inertia": {}, "inertia": {}}}',
         '{"density_kg_per_m2": 0.2, "effects": {"strain_stvk": {"lame_mu": true}}}',
         '{"density_kg_per_m2": 0.2, "effects": {"strain_stvk": {"lame_mu": "20"}}}',

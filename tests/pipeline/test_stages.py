@@ -310,6 +310,18 @@ def test_a_renamed_input_is_the_same_input(work):
     assert work.run()[0].kept == ["letters", "count"]
 
 
+def test_what_an_earlier_caphy_began_is_not_removed(work):
+    """Its keys say nothing of inputs now, and all outputs would go as if these had changed."""
+    work.run()
+    for record in (work.folder / "stages").glob("*.json"):
+        told = json.loads(record.read_text())
+        assert told.pop("scheme") == 2
+        record.write_text(json.dumps(told))
+    with pytest.raises(CaphyError, match=r"was begun by an earlier caphy.*\(letters, count\).*another folder"):
+        work.run()
+    assert (work.folder / "count.txt").read_text() == "3" and work.runs == ["letters", "count"]
+
+
 def test_what_follows_from_a_changed_input_is_in_the_estimate(work):
     """It was done before, but will be done again."""
     told = [replace(stage, seconds=seconds) for stage, seconds in zip(work.stages(), (60, 6000), strict=True)]

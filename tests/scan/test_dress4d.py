@@ -81,6 +81,16 @@ def test_scans_are_read_one_at_a_time_and_bad_ones_keep_no_pose(tmp_path, monkey
     assert scans[1].pose[0] == pytest.approx(given["global_orient"])
 
 
+def test_a_frame_whose_motion_is_no_number_is_left_out(tmp_path):
+    """It ended the conversion, and left a set that looked whole and had no poses."""
+    take = _take(tmp_path / "Take1", ("00001", "00002"))
+    path = take / "SMPLX" / "mesh-f00002_smplx.pkl"
+    path.write_bytes(pickle.dumps(pickle.loads(path.read_bytes()) | {"transl": np.full(3, np.nan)}))
+    said = []
+    scans = convert_take(take, tmp_path / "set", say=said.append)
+    assert scans.names == ("f00001",) and scans.poses is not None and len(said) == 1 and "f00002" in said[0]
+
+
 def test_every_other_frame(tmp_path):
     take = _take(tmp_path / "Take1", ("00001", "00002", "00003"))
     assert convert_take(take, tmp_path / "set", every=2).names == ("f00001", "f00003")

@@ -82,6 +82,17 @@ def test_an_indefinite_matrix_has_no_factor(sheet):
     assert symbolic.factorize(-values) is None
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_matrix_with_an_entry_that_is_no_number_has_no_factor(sheet, dtype):
+    symbolic, _, values, _ = mesh_matrix(sheet, np.random.default_rng(2))
+    for place in (0, len(values) // 2, -1):
+        wrong = values.copy()
+        wrong[place, 0, 0] = np.nan
+        assert symbolic.factorize(wrong, dtype) is None
+    factor = symbolic.factorize(values, dtype)
+    assert factor.solve(np.zeros((len(symbolic.order), 3, 0))).shape == (len(symbolic.order), 3, 0)
+
+
 def test_dissection_eliminates_every_vertex_once(sheet):
     _, dense, _, separators = mesh_matrix(sheet, np.random.default_rng(3))
     order = np.concatenate([separator.vertices for separator in separators])

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import torch
 from scipy.optimize import brentq
 
@@ -12,6 +13,7 @@ from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.trial import irregular_cloth, moment
+from caphy.errors import Diverged
 from caphy.io.poses import PoseSequence
 from caphy.solve.body_motion import BodyMotion
 from caphy.solve.integrators import SDIRK2, State
@@ -202,3 +204,23 @@ def test_an_earlier_factor_is_corrected_along_the_moves_since(sheet):
             SimpleNamespace(x=x + torch.from_numpy(move), gradient=change, residual=0.1),
         )
         np.testing.assert_allclose(curvature.solve(change), -move, atol=1e-9)
+
+
+@pytest.mark.parametrize("statics", [False, True])
+def test_a_slope_that_is_no_number_is_named_and_not_gone_along(sheet, monkeypatch, statics):
+    """As of a root at zero in an effect of one's own, whose energy is finite there."""
+    cloth = sheet(0.2, 0.2, 4, 4)
+    newton = Newton(Potential(Model(0.2, ACTING), cloth))
+    values = newton.hessian.values
+
+    def spoilt(*given, **more):
+        found = values(*given, **more).copy()
+        found[len(found) // 2, 1, 1] = np.nan
+        return found
+
+    monkeypatch.setattr(newton.hessian, "values", spoilt)
+    x = torch.from_numpy(cloth.vertices)
+    with pytest.raises(Diverged, match="finite slope"):
+        newton.minimise(1.1 * x, None if statics else Step.implicit_euler(1 / 30, x, x))
+    with pytest.raises(Diverged, match="finite slope"):
+        newton.factorize(x, None)
