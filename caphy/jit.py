@@ -29,6 +29,8 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
 
     def compile_later(function: Callable) -> Callable:
         made: Any = numba.njit(cache=True, **options)(function)
+        if made is function:  # NUMBA_DISABLE_JIT
+            return made
         numbas, place = made._cache._cache_file, made._cache.cache_path
         stamp = numbas._source_stamp, followed(Path(function.__code__.co_filename))
         made._cache._cache_file = Kept(place, numbas._index_name.removesuffix(".nbi"), stamp)
