@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import anyio
+import anyio.lowlevel
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
@@ -33,6 +34,7 @@ class PartsResponse(Response):
             with anyio.fail_after(self._seconds):
                 for piece, is_last in self._pieces():
                     await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
+                    await anyio.lowlevel.checkpoint()  # else nobody would hear that the client has gone
         except TimeoutError:  # returning before the last piece closes the connection
             log.warning("a client did not take its answer in time", extra={"seconds": self._seconds})
             scope["state"]["hold"].guard.metrics.refused.labels("slow_reader").inc()

@@ -126,6 +126,11 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, engine
     require_bounded(request)
 
 
+def same_rate(told: float, own: float) -> float:
+    """A rate that came in single precision [Hz], or the avatar's own where that is what was meant."""
+    return own if np.float32(told) == np.float32(own) else told
+
+
 def answered_frames(request: FramesRequest, fps: float) -> int:
     """How many frames at ``fps`` answer the request, at most where it is conditioned."""
     frames = len(request.poses)

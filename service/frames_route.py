@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Final
 
 from fastapi import FastAPI, Query, Request, Response
@@ -91,13 +92,18 @@ async def post_frames(
                 parsed = frames.parse_json(body, engines, settings.max_frames)
             else:
                 parsed = protocol.decode_request(body)
+                parsed = replace(parsed, fps=frames.same_rate(parsed.fps, found.bundle.fps))
             require_conditionable(parsed, asked)
             frames.require_valid(parsed, settings, found.bundle.fps, engines)
             count = frames.answered_frames(parsed, found.bundle.fps)
-            if wanted == JSON_MEDIA_TYPE:
+            if wanted == JSON_MEDIA_TYPE and asked is None:
                 require_few_frames(count, settings)
             hold.reserve(count * answer_bytes(engines, as_text=wanted == JSON_MEDIA_TYPE))
             conditions = None if asked is None else conditioned(parsed, asked, body_of(found.bundle))
+            if conditions is not None:
+                count = len(conditions.poses)
+            if wanted == JSON_MEDIA_TYPE:
+                require_few_frames(count, settings)
         with stages.time("infer"):
             answered = frames.answer(parsed, engines, found.bundle.fps, packing, found.bundle.joints[0], conditions)
         with stages.time("encode"):
@@ -117,13 +123,24 @@ def _require_known(request: Request) -> None:
 
 
 def _answer_type(accept: str, sent: str) -> str:
-    accepted = {part.partition(";")[0].strip().lower() for part in accept.split(",")}
-    if accepted & {"", "*/*", "application/*", sent}:
-        return sent
-    for media_type in (protocol.MEDIA_TYPE, JSON_MEDIA_TYPE):
-        if media_type in accepted:
-            return media_type
+    """Of what a client accepts what it likes best (RFC 9110, 12.5.1), of those alike what is like the request."""
+    liked: dict[str, float] = {}
+    for part in accept.split(",") if accept.strip() else ["*/*"]:
+        name, *parameters = (each.strip().lower() for each in part.split(";"))
+        liked[name] = next((_quality(each[2:]) for each in parameters if each.startswith("q=")), 1.0)
+    every = liked.get("application/*", liked.get("*/*", 0.0))
+    best = {name: liked.get(name, every) for name in (sent, protocol.MEDIA_TYPE, JSON_MEDIA_TYPE)}
+    chosen = max(best, key=lambda name: best[name])
+    if best[chosen] > 0:
+        return chosen
     raise Problem(406, f"answers are {JSON_MEDIA_TYPE} or {protocol.MEDIA_TYPE}, accept asks for {accept[:100]!r}")
+
+
+def _quality(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 1.0
 
 
 def require_few_frames(count: int, settings: Settings) -> None:

@@ -40,5 +40,6 @@ class Gust(Air):
 
 def swung(p: Values, time: float | Tensor) -> Tensor:
     """The push [Pa] at a time [s], in the shape of its amplitudes."""
-    phase = 2 * pi * p["frequency"] * torch.as_tensor(time)
+    clock = time if isinstance(time, Tensor) else torch.tensor(time, dtype=torch.float64)
+    phase = 2 * pi * p["frequency"] * clock
     return p["cosine"] * torch.cos(phase) + p["sine"] * torch.sin(phase)

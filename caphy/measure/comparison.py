@@ -46,7 +46,7 @@ def compare(prediction: Prediction, measurement: Measurement, names: np.ndarray 
         "prediction": _prediction(prediction),
         "error": _overall(errors, surface, prediction),
         "floor": _floor(prediction, measurement, errors),
-        "by_frame": _by_frame(prediction, errors, surface),
+        "by_frame": _by_frame(prediction, errors, surface, measurement),
         "by_lag": _by_lag(prediction, errors),
         "by_region": _by_region(prediction, errors, regions),
         "by_covariate": _by_covariate(found, errors, prediction),
@@ -72,6 +72,7 @@ def _about(measurement: Measurement) -> dict:
         "source": measurement.source,
         "fps": measurement.fps,
         "frames": len(measurement),
+        "numbering": list(measurement.numbering),
         "frames_seen": len(measurement.seen_frames),
         "registered": measurement.registered,
         "holes": float(1 - measurement.observed[measurement.seen_frames].mean()) if measurement.registered else None,
@@ -137,10 +138,11 @@ def _floor(prediction: Prediction, measurement: Measurement, errors: Errors) -> 
     }
 
 
-def _by_frame(prediction: Prediction, errors: Errors, surface: SurfaceErrors) -> dict:
+def _by_frame(prediction: Prediction, errors: Errors, surface: SurfaceErrors, measurement: Measurement) -> dict:
     rows = [summary(row) for row in errors.distance]
     return {
         "frame": prediction.frames.tolist(),
+        "number": [measurement.number(frame) for frame in prediction.frames],
         "median_mm": [row["median_mm"] for row in rows],
         "p95_mm": [row["p95_mm"] for row in rows],
         "chamfer_mm": [None if np.isnan(c) else MILLI * float(c) for c in surface.chamfer],

@@ -53,6 +53,7 @@ def track(comparison: Comparison) -> Track:
         body=prediction.body_vertices,
         body_faces=prediction.body_faces,
         regions=comparison.regions,
+        numbering=measurement.numbering,
     )
 
 

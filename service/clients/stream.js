@@ -292,7 +292,7 @@ export class GarmentStream {
   state() {
     return new Promise((resolve, reject) => {
       if (this.#closed) throw new Error("the stream is closed");
-      this.#asked.push({ motion: this.#motion, after: this.#number, resolve, reject });
+      this.#asked.push({ motion: this.#motion, after: this.#lastUpTo(Infinity), resolve, reject });
       if (this.open) this.#socket.send(encodeGetState(this.#motion));
     });
   }
@@ -360,6 +360,9 @@ export class GarmentStream {
         break;
       case Kind.ERROR:
         this.#unsaved = this.#unsaved.filter(({ first }) => first !== message.number);
+        for (const asked of this.#asked) {
+          if (asked.motion === this.#motion) asked.after = this.#lastUpTo(asked.after); // the refused are in no state
+        }
         this.onerror(message);
     }
   }
@@ -394,6 +397,11 @@ export class GarmentStream {
       asked.resolve(Object.fromEntries(parts));
     }
     this.#asked = waiting;
+  }
+
+  /** The last pose, up to a number, that is or will be in the state; the refused are not. */
+  #lastUpTo(number) {
+    return this.#unsaved.reduce((most, { last }) => (last <= number ? last : most), this.#settled);
   }
 
   /** Forget the poses that the state has in it, and the rates before those that it has not. */

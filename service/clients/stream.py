@@ -159,16 +159,13 @@ class StreamClient:
                     self._received = message.number
                     return message
             elif isinstance(message, Failure):
-                self._unsaved = deque(
-                    sent for sent in self._unsaved if isinstance(sent, Rate) or sent.number != message.number
-                )
                 raise StreamRefused(message.code, message.text)
 
     def state(self, timeout: float | None = 10.0) -> dict[str, np.ndarray]:
-        """The state (S,) of every garment after all poses sent so far."""
+        """The state (S,) of every garment after all poses sent so far; those that are refused have no part in it."""
         self._send(encode_client(GetState(self._motion)))
         kept = []
-        while self._settled < self._number or not self._state.size:
+        while any(isinstance(sent, Poses) for sent in self._unsaved) or not self._state.size:
             message = self._next(timeout)
             if not isinstance(message, State):
                 kept.append(message)
@@ -223,6 +220,8 @@ class StreamClient:
             self._forget_settled()
         if isinstance(message, Dressed):
             self.skipped = message.skipped
+        if isinstance(message, Failure):  # the service goes on as if they had not been sent
+            self._unsaved = deque(s for s in self._unsaved if isinstance(s, Rate) or s.number != message.number)
         return message
 
     def _forget_settled(self) -> None:

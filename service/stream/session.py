@@ -118,7 +118,10 @@ class Session:
         self._queue: deque[Ticks | Restart | GetState] = deque()
         self._poses_waiting = 0
         self._kept: bytes | None = None
-        rate, settings = _checked_rate(hello.fps), parse_settings(hello.conditioning, self.fps)
+        rate, settings = (
+            _checked_rate(frames.same_rate(hello.fps, self.fps)),
+            parse_settings(hello.conditioning, self.fps),
+        )
         self._clock: CausalClock | ConditionedClock = CausalClock(self.fps, rate, limits.max_frames)
         if settings is not None:
             body = body_of(avatar.bundle)
@@ -153,7 +156,7 @@ class Session:
             case Credit():
                 self._add_credits(message.count)
             case Rate():
-                self._clock.pose_fps = _checked_rate(message.fps)
+                self._clock.pose_fps = _checked_rate(frames.same_rate(message.fps, self.fps))
             case Reset():
                 self._queue.append(Restart(self._clock.number))
                 self._clock.restart()

@@ -237,7 +237,7 @@ def test_the_commands_write_what_they_say_and_go_on_where_they_were_stopped(tmp_
     assert told == files and not kept[0].exists()  # nothing was found anew
     assert not (tmp_path / "d" / commands.PROOF).exists()
     said = capsys.readouterr().out
-    assert "going on from" in said
+    assert "what an earlier run left" in said
     assert "caphy refit" in said and "--add mass_damping" in said
     assert json.loads((tmp_path / "d" / "diagnosis.json").read_text())["found"] == ["mass_damping"]
     page = (tmp_path / "d" / "diagnosis.html").read_text()

@@ -158,6 +158,19 @@ def test_frame_index_leaves_missing_frames_empty(tmp_path):
     assert back.seen_frames.tolist() == kept.tolist()
 
 
+@pytest.mark.parametrize("kind", [bool, int, float])
+def test_visibility_of_any_kind_has_nothing_in_missing_frames(tmp_path, kind):
+    """Of numbers with a point these were NaN, which is neither seen nor hidden."""
+    arrays = to_arrays(swinging())
+    kept = np.array([0, 1, 2, 5, 6, 19])
+    seen = np.ones(arrays["vertices"][kept].shape[:2], kind)
+    seen[:, 0] = 0
+    arrays |= {"vertices": arrays["vertices"][kept], "frame_index": kept, "visibility": seen}
+    np.savez(tmp_path / "gaps.npz", **arrays)
+    observed = read_measurement(tmp_path / "gaps.npz").observed
+    assert not observed[:, 0].any() and observed[kept, 1:].all() and not observed[3].any()
+
+
 def test_z_up_is_turned_with_its_body():
     from caphy.io.measurements.archive import from_arrays
 

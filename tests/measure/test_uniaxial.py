@@ -42,6 +42,16 @@ def test_real_knits_stiffen_and_differ_between_directions(shared_data):
     assert len(own[0]["force"]) <= 120
 
 
+def test_rounding_is_neither_too_stiff_nor_too_soft():
+    """Of a model's own curve, and of one that is 2 % off at most; of one that stiffens it is said."""
+    axial, model = np.linspace(0, 0.25, 60), stvk(20.9, 11.1)
+    own = model_curve(model, axial, "weft")
+    for off, says in ((0.0, 1), (1e-4, 1), (0.02, 1), (0.2, 2)):
+        curve = ForceCurve("mine", "weft", 1, axial, own.transverse, (1 - off * axial / 0.25) * own.force, "mine.csv")
+        said = curve_sentences([compare_curve(model, curve)])
+        assert len(said) == says and "over 1 loading," in said[0]
+
+
 def test_it_is_the_same_whichever_way_rows_run():
     axial = np.linspace(0, 0.25, 60)
     pulled = {"weft": 900.0 * axial, "warp": 520.0 * axial}

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
+import re
+
 import numpy as np
 import pytest
 
+from caphy.report.page.plots import time_plot
 from caphy.report.page.tracks import Track, pack
 
 
@@ -25,6 +30,32 @@ def test_all_of_a_motion_is_seen(size):
     scene = pack(Track(vertices, np.array([[0, 1, 2]]), np.arange(5), 30.0, {}))
     most = np.abs(on_screen(scene, vertices.reshape(-1, 3))).max()
     assert 0.85 < most < 1
+
+
+def unpacked(text: str, kind: str) -> np.ndarray:
+    return np.frombuffer(gzip.decompress(base64.b64decode(text)), kind)
+
+
+def test_errors_of_any_size_and_regions_of_any_number_are_as_they_are():
+    """They ended at 327.67 mm, and region 256 was told as region 0."""
+    vertices, names = np.random.default_rng(0).normal(size=(2, 300, 3)), np.array([f"r{i:03}" for i in range(300)])
+    errors = np.linspace(-450, 900, 600).reshape(2, 300)
+    scene = pack(Track(vertices, np.array([[0, 1, 2]]), np.arange(2), 30.0, {"distance": errors}, regions=names))
+    shown = unpacked(scene["fields"]["distance"], "<i2").reshape(2, 300) * scene["stepMm"]
+    assert np.abs(shown - errors).max() <= 0.51 * scene["stepMm"] and scene["stepMm"] < 0.03
+    assert [scene["regionNames"][i] for i in unpacked(scene["regions"], "<u2")] == names.tolist()
+    small = pack(Track(vertices, np.array([[0, 1, 2]]), np.arange(2), 30.0, {"distance": errors / 100}))
+    assert small["stepMm"] == 0.01
+
+
+def test_frames_are_told_by_their_numbers_in_the_source():
+    """As the sentences do: of a film above 45 Hz every second one, of a folder from its first on."""
+    track = Track(np.zeros((3, 3, 3)), np.array([[0, 1, 2]]), np.arange(3), 30.0, {}, numbering=(100, 2))
+    assert pack(track)["numbering"] == [100, 2]
+    plot = time_plot([0, 10, 20], {"median": [1.0, 2.0, 3.0]}, [0, 0, 0], None, (100, 2))
+    assert 'data-first="0" data-last="20"' in plot  # where the viewer goes
+    labels = [int(text) for text in re.findall(r">(\d+)<", plot)]
+    assert 100 in labels and 140 in labels
 
 
 def test_a_body_that_walks_is_seen_whole_in_every_frame():

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from caphy.errors import CaphyError
 from service.app import create_app
+from service.frames import same_rate
 from service.protocol import MEDIA_TYPE, FramesRequest, decode_response, encode_request
 from service.settings import Settings, read_settings
 
@@ -94,6 +95,12 @@ def test_binary_and_json_agree(http, motion):
         np.testing.assert_allclose(garment["state"], binary.states[name], atol=1e-6)
 
 
+def test_a_rate_in_single_precision_is_the_avatars_own():
+    """Binary requests hold it so: 29.97 fps is another number there, and a motion could not be continued."""
+    assert same_rate(float(np.float32(29.97)), 29.97) == 29.97 and same_rate(30.0, 30.0) == 30.0
+    assert same_rate(29.9701, 29.97) == 29.9701
+
+
 def test_accept_chooses_the_answer(http, motion):
     few = motion[:2]
     mixed = http.post(FRAMES, content=body_of(few), headers={**BINARY, "accept": "application/json"})
@@ -101,6 +108,10 @@ def test_accept_chooses_the_answer(http, motion):
     asked = {"fps": 30, "poses": few.poses.tolist(), "transl": few.transl.tolist()}
     assert decode_response(http.post(FRAMES, json=asked, headers={"accept": MEDIA_TYPE}).content).fps == 30
     refused(http.post(FRAMES, json=asked, headers={"accept": "text/html"}), 406, "application/json")
+    refused(http.post(FRAMES, json=asked, headers={"accept": "*/*;q=0"}), 406, "application/json")
+    for accept in (f"{MEDIA_TYPE};q=0, application/json", f"application/json, {MEDIA_TYPE};q=0.1"):
+        liked = http.post(FRAMES, content=body_of(few), headers={**BINARY, "accept": accept})
+        assert liked.headers["content-type"] == "application/json"
 
 
 def test_one_garment(http, motion):

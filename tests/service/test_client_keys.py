@@ -46,7 +46,7 @@ def fed(url: str, key: str | None) -> list[str]:
 
 
 def found(url: str, key: str | None) -> list[str]:
-    return [_served(url, shell_avatar(), key)]
+    return [_served(url, shell_avatar(), "", key)]
 
 
 def dressed(url: str, key: str | None) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -161,6 +162,22 @@ def conditioned_request(http, poses, transl, times=None, confidence=None, settin
         content=encode_request(FramesRequest(poses, transl, 30.0, np.zeros(0), times, confidence)),
         headers={"content-type": "application/octet-stream"},
     )
+
+
+def test_frames_are_counted_as_they_are_answered(http, motion):
+    """At most as many as there are poses, but where nobody is seen at first there are fewer."""
+    unseen = {"fps": 30, "poses": np.repeat(motion.poses[:1], 150, 0).tolist(), "confidence": [0.0] * 100 + [1.0] * 50}
+    unseen["transl"] = np.repeat(motion.transl[:1], 150, 0).tolist()
+
+    def counted() -> float:
+        told = re.search(r'caphy_frames_total\{avatar="shell"\} ([0-9.e+]+)', http.get("/metrics").text)
+        return 0.0 if told is None else float(told[1])
+
+    before = counted()
+    answer = http.post("/avatars/shell/frames?condition=on&garment=tshirt", json=unseen)
+    assert answer.status_code == 200, answer.text
+    frames = len(answer.json()["garments"]["tshirt"]["vertices"])
+    assert frames <= 60 and counted() - before == frames
 
 
 @pytest.mark.parametrize("leap", [95.0, 1.7e9])

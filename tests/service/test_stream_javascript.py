@@ -145,6 +145,33 @@ stream.close();
 const after = stream.state().catch((error) => error.message);
 console.log(JSON.stringify([await waiting, await after]));
 """
+REFUSED = """
+await welcomed(stream);
+const refused = (number) => {
+  const view = message(Kind.ERROR, 0);
+  view.setUint32(8, number, true);
+  view.setUint32(12, 422, true);
+  socket.onmessage({ data: view.buffer });
+};
+const told = [];
+const ask = (name) => stream.state().then(({ a }) => told.push([name, a[0]]));
+stream.send(poses, transl);
+stream.send(poses, transl);
+ask("with the refused");
+refused(2);
+ask("after the refusal");
+socket.onmessage(state(1, 0, 0.5));
+await new Promise((resolve) => setTimeout(resolve, 0));
+stream.send(poses, transl);
+ask("of a later pose");
+socket.onmessage(state(1, 0, 0.5));
+await new Promise((resolve) => setTimeout(resolve, 0));
+const waits = told.length;
+socket.onmessage(state(3, 0, 0.75));
+await new Promise((resolve) => setTimeout(resolve, 0));
+console.log(JSON.stringify({ told, waits }));
+stream.close();
+"""
 LATE = """
 await welcomed(stream);
 const numbers = [];
@@ -201,6 +228,14 @@ def test_states_go_by_their_names(tmp_path):
         assert ended == [f"{wanted} {got} (422)", f"{wanted} {got} (422)", "the stream is closed"]
     for thrown, kind in zip(found["thrown"], ("String", "Promise", "Map"), strict=True):
         assert thrown == f"state must be what state() said, or its floats, got [object {kind}]"
+
+
+def test_nobody_waits_for_the_state_after_a_pose_that_was_refused(tmp_path):
+    """The service never gets there: a promise of it was never kept."""
+    assert ran(OPEN + REFUSED, tmp_path) == {
+        "told": [["with the refused", 0.5], ["after the refusal", 0.5], ["of a later pose", 0.75]],
+        "waits": 2,
+    }
 
 
 def test_a_closed_stream_promises_no_state(tmp_path):

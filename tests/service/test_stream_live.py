@@ -238,6 +238,12 @@ def test_refusals_reach_the_caller_and_the_stream_goes_on(url, motion):
         assert refused.value.code == 422
         stream.send(motion.poses[0], motion.transl[0])
         assert stream.receive().number == 2
+        before = stream.state(5.0)
+        stream.send(np.full((55, 3), 90.0), np.zeros(3))
+        after = stream.state(5.0)  # it has no part in the state, and nobody waits for it
+        assert all(np.array_equal(before[name], after[name]) for name in before)
+        with pytest.raises(StreamRefused, match="are they degrees"):
+            stream.receive()
         with pytest.raises(CaphyError, match="shape"):
             stream.send(np.zeros((24, 3)), np.zeros(3))
         for transl in (np.zeros(2), np.zeros((2, 3)), "here"):

@@ -156,7 +156,7 @@ def _spread(given: dict[str, Any], index: np.ndarray, count: Any, source: str) -
         if len(value) != len(index):
             raise CaphyError(f"{source}: {name} must have the {len(index)} frames of frame_index, got {len(value)}")
         full = np.zeros((total, *value.shape[1:]), value.dtype)
-        if value.dtype.kind == "f":
+        if value.dtype.kind == "f" and name != "visibility":
             full[:] = np.nan
         full[index] = value
         given[name] = full

@@ -182,14 +182,15 @@ def _prepared_curves(table: dict) -> dict:
 
 def _script_json(value: dict) -> str:
     """JSON that cannot close the script element it stands in."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def _time_plot(figures: dict, floor: float | None) -> str:
     rows = figures["by_frame"]
     lines = {"median": rows["median_mm"], "95 %": rows["p95_mm"]}
     groups = rows["window"] if figures["prediction"]["restarted"] else [0] * len(rows["frame"])
-    return plots.time_plot(rows["frame"], lines, groups, floor)
+    numbering = figures["measurement"].get("numbering", (0, 1))
+    return plots.time_plot(rows["frame"], lines, groups, floor, tuple(numbering))
 
 
 def _plots(figures: dict, floor: float | None) -> list[tuple[str, str]]:

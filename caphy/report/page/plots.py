@@ -65,14 +65,22 @@ def _path(xs: Sequence[float], ys: Sequence[Value], breaks: Sequence[bool]) -> s
     return "".join(text)
 
 
-def time_plot(frames: Sequence[int], lines: dict[str, Sequence[Value]], groups: Sequence[int], floor: Value) -> str:
-    """Errors [mm] over frames; lines break between ``groups``; ``floor`` [mm] is drawn across."""
+def time_plot(
+    frames: Sequence[int],
+    lines: dict[str, Sequence[Value]],
+    groups: Sequence[int],
+    floor: Value,
+    numbering: tuple[int, int] = (0, 1),
+) -> str:
+    """Errors [mm] over frames; lines break between ``groups``; ``floor`` [mm] is drawn across. ``numbering``: number of
+    frame 0 in the source, and by how much the next one's is larger."""
     known = [v for values in lines.values() for v in values if v is not None]
     high = 1.08 * max([*known, floor or 0, 1e-3])
     last = frames[-1] if frames[-1] > frames[0] else frames[0] + 1
     x, y = _scale(frames[0], last, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
     new = [i == 0 or groups[i] != groups[i - 1] for i in range(len(frames))]
-    body = _y_axis(y, high) + _x_axis(x, frames[0], last)
+    told = [numbering[0] + numbering[1] * each for each in (frames[0], last)]
+    body = _y_axis(y, high) + _x_axis(_scale(*told, LEFT, WIDTH - RIGHT), *told)
     for number, (name, values) in enumerate(lines.items()):
         heights = [None if v is None else y(v) for v in values]
         body += f'<path class="line line{number}" d="{_path([x(f) for f in frames], heights, new)}"/>'

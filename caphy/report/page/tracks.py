@@ -11,7 +11,7 @@ import numpy as np
 BUDGET = 12_000_000
 """Most bytes of raw numbers that one scene may hold; longer motions are thinned out in time."""
 STEP_MM = 0.01
-"""Resolution of packed errors [mm]."""
+"""Resolution of packed errors [mm], unless they reach so far that 16 bits need a coarser one."""
 HOLE = -32768
 """Packed error where nothing was measured."""
 AZIMUTH, ELEVATION, FIELD = 0.6, 0.22, 0.62
@@ -26,7 +26,7 @@ class Track:
 
     vertices: the model's (N, V, 3) [m]. faces: (F, 3). measured: registered positions (N, V, 3) with NaN in holes, or
     a list of N clouds (n, 3), or none. fields: name -> errors (N, V) [mm], NaN where unknown. frames: (N,).
-    body: (N, B, 3), with body_faces, or none.
+    body: (N, B, 3), with body_faces, or none. numbering: frame 0's number in the source, and from it to the next one's.
     """
 
     vertices: np.ndarray
@@ -38,6 +38,7 @@ class Track:
     body: np.ndarray | None = None
     body_faces: np.ndarray | None = None
     regions: np.ndarray | None = None
+    numbering: tuple[int, int] = (0, 1)
 
 
 def pack(track: Track) -> dict:
@@ -51,8 +52,11 @@ def pack(track: Track) -> dict:
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     scale = float(max((high - low).max(), 1e-6) / 65534)
     names, region = np.unique(["" if track.regions is None else r for r in _regions(track)], return_inverse=True)
+    fields = {name: values[rows] for name, values in track.fields.items()}
+    step = max(STEP_MM, *(float(np.nanmax(np.abs(each), initial=0.0)) / 32767 for each in fields.values()), STEP_MM)
     scene = {
         "fps": track.fps,
+        "numbering": [int(each) for each in track.numbering],
         "rows": len(rows),
         "thinned": len(rows) < len(track.vertices),
         "frames": track.frames[rows].tolist(),
@@ -62,10 +66,10 @@ def pack(track: Track) -> dict:
         "focus": _focus(vertices, body),
         "faces": _encode(track.faces.astype("<u4")),
         "model": _encode(_quantised(vertices, low, scale)),
-        "fields": {name: _encode(_errors(values[rows])) for name, values in track.fields.items()},
-        "stepMm": STEP_MM,
+        "fields": {name: _encode(_errors(values, step)) for name, values in fields.items()},
+        "stepMm": step,
         "regionNames": names.tolist(),
-        "regions": _encode(region.astype("<u1")),
+        "regions": _encode(region.astype("<u2")),
     }
     if measured is not None:
         scene["measured"] = _encode(np.concatenate([_quantised(c, low, scale).reshape(-1, 3) for c in measured]))
@@ -119,9 +123,9 @@ def _quantised(points: np.ndarray, low: np.ndarray, scale: float) -> np.ndarray:
     return values.astype("<u2")
 
 
-def _errors(values: np.ndarray) -> np.ndarray:
-    """Signed 16-bit errors in steps of :data:`STEP_MM`."""
-    steps = np.clip(np.nan_to_num(values / STEP_MM), -32767, 32767)
+def _errors(values: np.ndarray, step: float) -> np.ndarray:
+    """Signed 16-bit errors in steps of so many millimetres."""
+    steps = np.clip(np.nan_to_num(values / step), -32767, 32767)
     return np.where(np.isfinite(values), np.rint(steps), HOLE).astype("<i2")
 
 

@@ -110,7 +110,7 @@
       if (!gl.getExtension("OES_element_index_uint")) throw new Error("WebGL lacks large meshes.");
       const s = this.scene = JSON.parse(this.find("scene").textContent);
       this.find("scene").remove();
-      [this.faces, this.model, this.regions] = await Promise.all([unpack(s.faces, Uint32Array), unpack(s.model, Uint16Array), unpack(s.regions, Uint8Array)]);
+      [this.faces, this.model, this.regions] = await Promise.all([unpack(s.faces, Uint32Array), unpack(s.model, Uint16Array), unpack(s.regions, Uint16Array)]);
       this.fields = {};
       for (const name of Object.keys(s.fields)) this.fields[name] = await unpack(s.fields[name], Int16Array);
       if (s.measured) this.measured = await unpack(s.measured, Uint16Array);
@@ -198,8 +198,9 @@
       }
       const frame = s.frames[this.row];
       this.find("scrub").value = this.row;
-      this.find("clock").textContent = `frame ${frame} · ${(frame / s.fps).toFixed(2)} s`;
-      this.find("scrub").setAttribute("aria-valuetext", `frame ${frame}`);
+      const number = s.numbering[0] + s.numbering[1] * frame; // as the source has it, and the sentences
+      this.find("clock").textContent = `frame ${number} · ${(frame / s.fps).toFixed(2)} s`;
+      this.find("scrub").setAttribute("aria-valuetext", `frame ${number}`);
       this.onframe?.(frame);
       this.draw();
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ import caphy
 from caphy.conditioning import Conditioning
 from caphy.errors import CaphyError
 from caphy.garment.template import write_npz
-from caphy.io.bundle import AvatarBundle, read_bundle
+from caphy.io.bundle import MANIFEST, AvatarBundle, read_bundle
 from caphy.io.places import writable_file
 from caphy.io.poses import PoseSequence, write_poses
 from service.client import Client
@@ -67,7 +68,8 @@ def _run(options: argparse.Namespace) -> int:
             writable_file(place, suffix, inputs=[options.video])
     video = Video(options.video)
     bundle = read_bundle(options.bundle)
-    avatar = _served(options.service, bundle, options.key)
+    version = hashlib.sha256((options.bundle / MANIFEST).read_bytes()).hexdigest()[:12]
+    avatar = _served(options.service, bundle, version, options.key)
     focal = options.focal or float(np.hypot(*video.size))
     if not 50 < focal < 1e5:
         raise CaphyError(
@@ -103,13 +105,19 @@ def _wardrobe(options: argparse.Namespace, avatar: str, bundle: AvatarBundle) ->
     return LiveWardrobe(feed, bundle, drawn)
 
 
-def _served(url: str, bundle: AvatarBundle, key: str | None = None) -> str:
-    """The id under which the service serves this bundle."""
+def _served(url: str, bundle: AvatarBundle, version: str, key: str | None = None) -> str:
+    """The id under which the service serves a bundle of this version, or the only one with its garments."""
     offered = Client(url, key=key).avatars()
     garments = {garment.name: len(garment.mesh.vertices) for garment in bundle.garments}
-    for avatar in offered:
-        if {garment["name"]: garment["vertices"] for garment in avatar["garments"]} == garments:
-            return avatar["id"]
+    alike = [a for a in offered if {g["name"]: g["vertices"] for g in a["garments"]} == garments]
+    same = [avatar for avatar in alike if avatar["version"] == version]
+    if same or len(alike) == 1:
+        return (same or alike)[0]["id"]
+    if alike:
+        raise CaphyError(
+            f"{url}: serves {', '.join(avatar['id'] for avatar in alike)}, all with the garments of {bundle.name!r}, "
+            "and none is the one drawn here; give the folder of the avatar it serves with --bundle"
+        )
     raise CaphyError(
         f"{url}: serves {', '.join(avatar['id'] for avatar in offered)}, none of which has the garments of "
         f"{bundle.name!r}; give the folder of the avatar it serves with --bundle"

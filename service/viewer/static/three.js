@@ -1,4 +1,4 @@
-/* built from sources 8d73433d45571670909d4684be0e286692f4c6c53f4ef688a5479cb8ee122484 */
+/* built from sources 02656e1ec1425a33848d07718b7aed47ae442fb65358791cda10a86b6b7d3628 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
