@@ -79,8 +79,8 @@ def time_plot(
     last = frames[-1] if frames[-1] > frames[0] else frames[0] + 1
     x, y = _scale(frames[0], last, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
     new = [i == 0 or groups[i] != groups[i - 1] for i in range(len(frames))]
-    told = [numbering[0] + numbering[1] * each for each in (frames[0], last)]
-    body = _y_axis(y, high) + _x_axis(_scale(*told, LEFT, WIDTH - RIGHT), *told)
+    begins, ends = (numbering[0] + numbering[1] * each for each in (frames[0], last))
+    body = _y_axis(y, high) + _x_axis(_scale(begins, ends, LEFT, WIDTH - RIGHT), begins, ends)
     for number, (name, values) in enumerate(lines.items()):
         heights = [None if v is None else y(v) for v in values]
         body += f'<path class="line line{number}" d="{_path([x(f) for f in frames], heights, new)}"/>'
