@@ -78,7 +78,7 @@ async def post_frames(
     sent = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if sent not in (JSON_MEDIA_TYPE, protocol.MEDIA_TYPE):
         raise Problem(415, f"content-type must be {JSON_MEDIA_TYPE} or {protocol.MEDIA_TYPE}, got {sent or 'none'!r}")
-    wanted = _answer_type(request.headers.get("accept", "*/*"), sent)
+    wanted = _answer_type(",".join(request.headers.getlist("accept")), sent)
     packing = frames.Wanted.of(encoding, normals)
     if wanted == JSON_MEDIA_TYPE and packing != frames.Wanted():
         raise Problem(422, f"encoding and normals are for binary answers; ask for {protocol.MEDIA_TYPE} by accept")

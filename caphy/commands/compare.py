@@ -44,7 +44,8 @@ class Compare:
     body: Path | None = None
     """An SMPL-X-format .npz, if it is not the bundled body."""
     window: int = 8
-    """Frames that a physics model runs before it is restarted from the measurement."""
+    """Frames that a physics model runs before it is restarted from the measurement, of those that are kept of films
+    above 45 Hz."""
     effect_file: tuple[Path, ...] = ()
     """Python files with effects of your own that the model uses."""
 
