@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -69,3 +70,17 @@ def test_requests_carry_the_key(locked: str) -> None:
     wardrobe = RequestWardrobe(locked, "shell", 30.0, KEY)
     assert wardrobe._client.avatars()[0]["id"] == "shell"
     wardrobe.close()
+
+
+def test_the_video_client_knows_its_avatar_among_others_with_the_same_garments(monkeypatch) -> None:
+    """By names and numbers of vertices alone it took the first one, of another person."""
+    bundle = shell_avatar()
+    garments = [{"name": each.name, "vertices": len(each.mesh.vertices)} for each in bundle.garments]
+    offered = [{"id": name, "version": f"of {name}", "garments": garments} for name in ("other", "mine")]
+    client = SimpleNamespace(avatars=lambda: offered)
+    monkeypatch.setattr("service.clients.monocular.__main__.Client", lambda *_, **__: client)
+    assert _served("http://here", bundle, "of mine") == "mine"
+    with pytest.raises(CaphyError, match=r"serves other, mine, all with the garments of .* none is the one drawn here"):
+        _served("http://here", bundle, "of a third")
+    del offered[1]
+    assert _served("http://here", bundle, "of a third") == "other"  # the same garments, made again
