@@ -33,13 +33,13 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
             return made
         numbas, place = made._cache._cache_file, made._cache.cache_path
         stamp = numbas._source_stamp, followed(Path(function.__code__.co_filename))
-        made._cache._cache_file = Kept(place, numbas._index_name.removesuffix(".nbi"), stamp)
+        made._cache._cache_file = CacheFile(place, numbas._index_name.removesuffix(".nbi"), stamp)
         return made
 
     return compile_later
 
 
-class Kept(IndexDataCacheFile):
+class CacheFile(IndexDataCacheFile):
     """numba's files of a function; processes write one after another, and what an index names is there before it."""
 
     def save(self, key: object, data: object) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from caphy.jit import ROOT, Kept, followed
+from caphy.jit import ROOT, CacheFile, followed
 
 
 def test_other_constants_of_another_file_are_other_code(tmp_path: Path) -> None:
@@ -29,7 +29,7 @@ def test_other_constants_of_another_file_are_other_code(tmp_path: Path) -> None:
 
 
 def test_what_older_code_compiled_is_not_found(tmp_path: Path) -> None:
-    old, new = (Kept(str(tmp_path), "loop-1", ("stamp", digest)) for digest in ("before", "after"))
+    old, new = (CacheFile(str(tmp_path), "loop-1", ("stamp", digest)) for digest in ("before", "after"))
     old.save("float64", "old code")
     assert old.load("float64") == "old code" and new.load("float64") is None
     new.save("float64", "new code")
@@ -38,7 +38,7 @@ def test_what_older_code_compiled_is_not_found(tmp_path: Path) -> None:
 
 def test_two_processes_that_compile_at_once_keep_both(tmp_path: Path, monkeypatch) -> None:
     """Both took the same file's name, and one type's code was found by the other's."""
-    first, second = (Kept(str(tmp_path), "loop-1", "stamp") for _ in range(2))
+    first, second = (CacheFile(str(tmp_path), "loop-1", "stamp") for _ in range(2))
     writing, go_on = threading.Event(), threading.Event()
     save_data = first._save_data
 
@@ -60,7 +60,7 @@ def test_two_processes_that_compile_at_once_keep_both(tmp_path: Path, monkeypatc
 
 
 def test_an_index_never_names_what_is_not_written_yet(tmp_path: Path, monkeypatch) -> None:
-    kept = Kept(str(tmp_path), "loop-1", "stamp")
+    kept = CacheFile(str(tmp_path), "loop-1", "stamp")
     seen = []
     monkeypatch.setattr(kept, "_save_data", lambda name, data: seen.append(kept._load_index()))
     kept.save("float64", "code")

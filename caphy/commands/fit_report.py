@@ -10,6 +10,7 @@ from typing import Any
 
 from caphy.commands.fit_pictures import all_pictures
 from caphy.commands.fit_scans import CHECKED, left_out, read
+from caphy.evaluate.learnt_from import TEMPLATES
 
 PAGE = "report.html"
 UNDONE = {
@@ -39,7 +40,7 @@ def write_report(run: Path) -> Path:
 def document(run: Path) -> dict[str, Any]:
     """All that the page says."""
     evaluation = read(run, "evaluation.json")
-    garments = read(run, "garments.json")
+    garments = read(run, TEMPLATES)
     reasons = left_out(run)
     return {
         "sentences": _sentences(run, evaluation, garments),

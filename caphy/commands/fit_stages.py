@@ -13,6 +13,7 @@ from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD
 from caphy.commands.fit_scans import CHECKED, KINDS, LABELLED, LABELS, SCANS, check_scans, read, segment_scans
 from caphy.commands.validate import REPORT as VALIDATION
 from caphy.errors import CaphyError
+from caphy.evaluate.learnt_from import TEMPLATES
 from caphy.pipeline.ledger import Ledger
 from caphy.pipeline.processes import run_shared
 from caphy.pipeline.stage import Stage
@@ -100,7 +101,7 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
         ),
         Stage(
             "garments", "choosing the garments' templates", lambda: _garments(plan),
-            inputs=(*labelled, run / "body.npz", run / "split.json", *body), outputs=(run / "garments.json",),
+            inputs=(*labelled, run / "body.npz", run / "split.json", *body), outputs=(run / TEMPLATES,),
             whole=lambda: all((run / f"{kind}.npz").is_file() for kind in kinds(run)),
             options=told | {"fabric": plan.fabric}, seconds=220,
         ),
@@ -135,14 +136,14 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
         Stage(
             "evaluate", "holding it against the scans left out of training", lambda: _evaluate(plan),
             inputs=(
-                *labelled, *subject, run / FABRIC, run / "garments.json", *trained, *refined, *collided, run / "rows",
+                *labelled, *subject, run / FABRIC, run / TEMPLATES, *trained, *refined, *collided, run / "rows",
                 *_files(plan.vgg),
             ),
             outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=5 + 0.9 * count,
             may_fail=True,
         ),
     ]  # fmt: skip
-    shown = tuple(run / name for name in (CHECKED, "body.json", FABRIC, "evaluation.json", "garments.json", AVATAR))
+    shown = tuple(run / name for name in (CHECKED, "body.json", FABRIC, "evaluation.json", TEMPLATES, AVATAR))
     records = tuple(Ledger(run).record(stage) for stage in made)  # what stages took, and why they failed
     report = Stage(
         "report", "writing the page", lambda: _report(plan),
@@ -256,8 +257,8 @@ def _has_models(run: Path) -> bool:
 
 
 def _fabric(plan: Plan) -> None:
-    if (plan.run / FABRIC).is_file() and _has_models(plan.run):  # of the same input, or it would have been removed
-        print(f"{plan.run / FABRIC} is there already, made by 'caphy fabric' on its own; it is kept")
+    if (plan.run / FABRIC).is_file() and _has_models(plan.run):  # else it would have been removed
+        print(f"{plan.run / FABRIC} is there already, and of the same input; it is kept")
         return
     for name in (FABRIC, "fabric_upper.json", "fabric_lower.json"):  # what an earlier fit could fit, this one may not
         (plan.run / name).unlink(missing_ok=True)

@@ -200,6 +200,7 @@ def _pictured(fit: BodyFit, scans: ScanSet, command: Body) -> Path:
 
 def _garments(command: Garments) -> None:
     from caphy.effects.presets import fabric_model
+    from caphy.evaluate.learnt_from import TEMPLATES
     from caphy.io.places import write_text
     from caphy.register.result import read_fit
     from caphy.register.styles import KINDS
@@ -211,7 +212,7 @@ def _garments(command: Garments) -> None:
     if unknown:
         raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
     found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
-    shown, record = _shown(command.output, fit.names), command.output / "garments.json"
+    shown, record = _shown(command.output, fit.names), command.output / TEMPLATES
     with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
         for kind in sorted(command.kinds):  # what is worn beneath comes first
             found[kind] = _garment(command, fit, shown, scans, kind, model, Kept(folder))
