@@ -69,7 +69,7 @@ def tell_other_body(garment: Garment, joints: np.ndarray) -> None:
     """Say where a garment was made on another body than that with rest joints (55, 3) [m]."""
     if (apart := garment.apart(joints)) > OTHER:
         print(
-            f"note: the {garment.name} was made on another body, whose joints lie up to {1000 * apart:.0f} mm from "
+            f"note: {garment.name}: made on another body, whose joints lie up to {1000 * apart:.0f} mm from "
             "this one's: it starts too tight or too loose; give the body and shape it was made with (--body, --betas)"
         )
 

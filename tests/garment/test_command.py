@@ -95,7 +95,7 @@ def test_a_garment_is_simulated_on_the_body_that_it_was_made_on(tmp_path, capsys
     write_poses(procedural_motion(0, 0.1), poses)
     simulated = ["simulate", str(made), str(poses), "-o", str(tmp_path / "o.npz")]
     assert main(simulated) == 0
-    assert "the shorts was made on another body, whose joints lie up to 114 mm" in capsys.readouterr().out
+    assert "shorts: made on another body, whose joints lie up to 114 mm" in capsys.readouterr().out
     assert main([*simulated, "--betas", "1.5"]) == 0
     assert "another body" not in capsys.readouterr().out
 
