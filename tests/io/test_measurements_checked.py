@@ -242,3 +242,10 @@ def test_a_frame_count_alone_counts(tmp_path):
         read_measurement(tmp_path / "few.npz")
     write_measurement(read, tmp_path / "again.npz")
     assert len(read_measurement(tmp_path / "again.npz")) == 25
+
+
+def test_what_tells_of_poses_that_are_not_there_is_said_to_be_ignored(tmp_path: Path) -> None:
+    given = replace(swinging(), betas=np.zeros(10), attached=np.zeros(36))
+    notes = read_measurement(write_measurement(given, tmp_path / "sheet.npz")).notes
+    assert notes == ("betas, attached tell of a body in poses; there are no poses, so they are ignored",)
+    assert read_measurement(write_measurement(swinging(), tmp_path / "plain.npz")).notes == ()

@@ -10,6 +10,9 @@ from caphy.io.measurements.checks import require_plausible
 from caphy.io.measurements.folder import DESCRIPTION, read_folder, write_folder
 from caphy.io.measurements.measurement import Measurement
 
+_POSED = ("betas", "weights", "attached", "preroll_poses")
+"""Keys that only mean something beside poses."""
+
 
 def read_measurement(path: str | Path) -> Measurement:
     """The measurement in an npz file or a folder, y up, its units, axes, frame rate and order checked.
@@ -30,7 +33,15 @@ def read_measurement(path: str | Path) -> Measurement:
             f"{path}: a measurement is an .npz file or a folder with a {DESCRIPTION}, a table of tensile tests a .csv"
         )
     require_plausible(measurement, axes_stated=stated)
-    return measurement
+    return _told_of_what_nobody_reads(measurement)
+
+
+def _told_of_what_nobody_reads(measurement: Measurement) -> Measurement:
+    """The same with a note where it says how cloth is worn on a posed body, and has no poses."""
+    given = [name for name in _POSED if getattr(measurement, name) is not None]
+    if measurement.poses is not None or not given:
+        return measurement
+    return measurement.with_notes(f"{', '.join(given)} tell of a body in poses; there are no poses, so they are ignored")
 
 
 def write_measurement(measurement: Measurement, path: str | Path) -> Path:
