@@ -6,6 +6,7 @@ it is ready, on the other it notices that its parent is gone.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import os
@@ -34,6 +35,7 @@ STEADY_SECONDS: Final = 10.0
 """A worker that lived for so long was well; one that did not is replaced more and more slowly."""
 MOST_DELAY: Final = 30.0
 LOOK_SECONDS: Final = 0.1
+_METRICS: Final = "caphy-metrics-"
 
 
 class Worker:
@@ -80,7 +82,7 @@ class Workers:
         Raises CaphyError where the first worker ends before it is ready.
         """
         handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        folder = _metrics_folder()
+        folder, held = _metrics_folder()
         os.environ[SHARED_FOLDER] = str(folder)
         try:
             if report := self._first_report():
@@ -91,6 +93,7 @@ class Workers:
         finally:
             self._end_all()
             shutil.rmtree(folder, ignore_errors=True)
+            os.close(held)
             del os.environ[SHARED_FOLDER]  # what is started later must not look for it
             for number, handler in handlers.items():
                 signal.signal(number, handler)
@@ -151,14 +154,32 @@ def _environment(settings: Settings) -> dict[str, str]:
     return environment
 
 
-def _metrics_folder() -> Path:
-    """Of the numbers that workers share; in memory where the system has a place for that, writable or not else."""
+def _metrics_folder() -> tuple[Path, int]:
+    """Of the numbers that workers share, and a descriptor that holds it; in memory where the system has a place for
+    that, writable or not else. What services that were killed left there, which nobody holds any more, goes."""
     memory = Path("/dev/shm")
-    place = memory if os.access(memory, os.W_OK) else None
+    place = memory if os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
+    for left in place.glob(f"{_METRICS}*"):
+        with suppress(OSError):  # it is held, or another user's
+            os.close(_hold(left))
+            shutil.rmtree(left, ignore_errors=True)
     try:
-        return Path(tempfile.mkdtemp(prefix="caphy-metrics-", dir=place))
+        new = Path(tempfile.mkdtemp(prefix="caphy-new-", dir=place))
+        held = _hold(new)
+        return new.rename(place / new.name.replace("caphy-new-", _METRICS)), held  # held before anybody looks for it
     except OSError as error:
         raise CaphyError(f"several workers need a writable folder for their metrics ({error}); set TMPDIR") from error
+
+
+def _hold(folder: Path) -> int:
+    """A descriptor of a folder, held until it is closed or its process ends; raises OSError where another holds it."""
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(held)
+        raise
+    return held
 
 
 def _forget_metrics(pid: int) -> None:

@@ -26,6 +26,7 @@ from caphy.errors import CaphyError
 from service.client import Client
 from service.engine import GarmentEngine
 from service.protocol import decode_response
+from service.workers import _metrics_folder
 
 STREAMS = 6
 FRAMES = 90
@@ -175,6 +176,21 @@ def test_workers_end_with_their_parent(avatars):
         service.process.kill()
         service.process.wait()
         wait_until(lambda: not any(os.path.exists(f"/proc/{pid}/exe") and running(pid) for pid in workers))
+
+
+def test_what_a_killed_service_leaves_in_memory_goes_when_the_next_one_starts():
+    killed, lock = _metrics_folder()
+    alive, held = _metrics_folder()
+    assert killed.is_dir()  # as long as its process lives
+    os.close(lock)  # as a kill -9 does
+    new, other = _metrics_folder()
+    try:
+        assert not killed.exists()
+        assert alive.is_dir() and new.is_dir()
+    finally:
+        for folder, descriptor in ((alive, held), (new, other)):
+            folder.rmdir()
+            os.close(descriptor)
 
 
 def running(pid: int) -> bool:
