@@ -494,3 +494,11 @@ def test_tables_have_no_base(tmp_path, capsys):
     for words in (["diagnose", "snug"], ["refit", "snug"]):
         assert main([*words, str(table), "--base", str(table), "-o", str(tmp_path / "out")]) == 2
         assert "have no --base" in capsys.readouterr().err
+
+
+def test_a_refit_of_tables_asks_for_a_folder(tmp_path, capsys):
+    table = tmp_path / "table.csv"
+    table.write_text(HEADER + "\n" + ROWS.format(1))
+    assert main(["refit", "snug", str(table), "-o", str(tmp_path / "better.json")]) == 2
+    assert "give a folder" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["table.csv"]
