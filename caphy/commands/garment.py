@@ -33,7 +33,7 @@ class MeshOptions:
     scale: float = 1.0
     """Metres per unit of the file: 0.1 for decimetres (MakeHuman), 0.01 for centimetres."""
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
-    """The file's up axis; y unless given."""
+    """The file's up axis; y unless given. With y or x up the front looks along +z, with z up along -y (Blender)."""
     triangulate: bool = False
     """Split quads and larger polygons into triangles."""
     component: str | None = None
@@ -203,6 +203,8 @@ def _read(file: Path, options: MeshOptions, body: Path | None, betas: Betas) -> 
     from caphy.garment.landmarks import Landmarks
     from caphy.garment.usermesh import clean_mesh, read_mesh
 
+    if not 0 < options.scale < np.inf:
+        raise CaphyError(f"--scale must be positive and finite [m per unit of the file], got {options.scale:g}")
     if not 0 < options.panel_scale < np.inf:
         raise CaphyError(f"--panel-scale must be positive and finite, got {options.panel_scale:g}")
     if not np.isfinite(options.offset).all():

@@ -67,7 +67,9 @@ def main(arguments: list[str]) -> int:
 
         require_no_base(command.base)
         if command.output.suffix == ".json":
-            raise CaphyError(f"{command.output}: for tables of tensile tests give a folder; each fabric gets a model in it")
+            raise CaphyError(
+                f"{command.output}: for tables of tensile tests give a folder; each fabric gets a model in it"
+            )
         writable_folder(command.output)
         with unfinished(command.output / UNFINISHED) as folder:
             kept = Kept(folder, command.effect_file)

@@ -67,7 +67,7 @@ class Top:
 
 @dataclass(frozen=True)
 class Tshirt(Top):
-    """A T-shirt."""
+    """A T-shirt. Lengths in metres; what is left out is proportioned to the body."""
 
     family: ClassVar[str] = "tshirt"
     arm_share: ClassVar[float] = 0.4
@@ -75,7 +75,7 @@ class Tshirt(Top):
 
 @dataclass(frozen=True)
 class LongSleeve(Top):
-    """A long-sleeved shirt."""
+    """A long-sleeved shirt. Lengths in metres; what is left out is proportioned to the body."""
 
     family: ClassVar[str] = "longsleeve"
     arm_share: ClassVar[float] = 0.97
@@ -83,7 +83,8 @@ class LongSleeve(Top):
 
 @dataclass(frozen=True)
 class Tank(Top):
-    """A tank top: armholes instead of sleeves, a deeper neckline."""
+    """A tank top: armholes instead of sleeves, a deeper neckline. Lengths in metres; what is left out is proportioned
+    to the body."""
 
     ease: float = 0.012
     flare: float = 0.15
@@ -127,7 +128,7 @@ class Trousers:
 
 @dataclass(frozen=True)
 class Shorts(Trousers):
-    """Shorts, looser in the leg than trousers."""
+    """Shorts, looser in the leg than trousers. Lengths in metres; what is left out is proportioned to the body."""
 
     leg_ease: float = 0.028
     taper: float = 0.0

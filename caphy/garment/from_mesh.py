@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from caphy.body.surface import nearest_on_surface
@@ -18,6 +20,8 @@ from caphy.garment.usermesh import UserMesh
 
 FARTHEST = 0.5
 """A garment whose middle vertex is farther [m] than this from the body is not on it."""
+NEARER = 0.5
+"""Times as near to the body, in the middle vertex, as a garment lies with its feet down to be taken for one so made."""
 WITHIN = 0.5
 """Share of the vertices that may lie inside the body; solvers push out what is there by some millimetres."""
 INWARD = 0.7
@@ -46,6 +50,11 @@ def garment_from_mesh(
     if not low <= layer_thickness <= high:
         raise CaphyError(f"{name}: layer thickness must lie between {low:g} and {high:g} m, got {layer_thickness:g} m")
     distance = clearance(mesh, marks)
+    if (drop := _height_of_a_stand(mesh, marks, distance)) is not None:
+        raise CaphyError(
+            f"{name}: the garment must lie on the body, whose hips are at the origin, but seems to be made for one "
+            f"that stands with its feet at y = 0; pass --offset 0 {-drop:.3f} 0"
+        )
     if np.median(np.abs(distance)) > FARTHEST:
         raise CaphyError(
             f"{name}: the garment must lie on the body, whose hips are at the origin, but is "
@@ -100,6 +109,15 @@ def rest_metric(mesh: UserMesh, marks: Landmarks, panel_scale: float = 1.0) -> t
 def clearance(mesh: UserMesh, marks: Landmarks) -> np.ndarray:
     """Signed distance (V,) [m] of the garment's vertices to the body, negative inside."""
     return nearest_on_surface(mesh.vertices, marks.vertices, marks.body.faces).distance
+
+
+def _height_of_a_stand(mesh: UserMesh, marks: Landmarks, distance: np.ndarray) -> float | None:
+    """How high [m] the body's origin stands over its soles, where the garment fits far better from there than where it
+    is; ``distance`` (V,) [m] is its clearance."""
+    drop = -float(marks.vertices[:, 1].min())
+    lower = replace(mesh, vertices=mesh.vertices - [0.0, drop, 0.0])
+    there = float(np.median(np.abs(clearance(lower, marks))))
+    return drop if there < NEARER * np.median(np.abs(distance)) else None
 
 
 def _inward(mesh: UserMesh, marks: Landmarks) -> float:

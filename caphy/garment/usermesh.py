@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -10,6 +11,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.garment import topology
+from caphy.garment.polygons import Corners, triangles
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
@@ -71,7 +73,7 @@ def _read_obj(path: Path) -> RawMesh:
     vertices: list[list[float]] = []
     uv: list[list[float]] = []
     polygons, uv_polygons = [], []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
+    for number, line in _whole_lines(path.read_text(errors="replace").splitlines()):
         word, *rest = line.split("#")[0].split() or [""]
         try:
             if word == "v":
@@ -98,6 +100,20 @@ def _read_obj(path: Path) -> RawMesh:
             raise CaphyError(f"{path}: a face refers to {wrong}, but there are {count}, counted from 1")
     points = np.array(vertices, float).reshape(-1, 3)
     return RawMesh(path, points, polygons, np.array(uv, float).reshape(-1, 2), uv_polygons if complete else None)
+
+
+def _whole_lines(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """Lines with those that continue them (after a backslash), and the number of the first of each, counted from 1."""
+    begun, first = "", 1
+    for number, line in enumerate(lines, 1):
+        first = first if begun else number
+        if line.endswith("\\"):
+            begun += line[:-1] + " "
+            continue
+        yield first, begun + line
+        begun = ""
+    if begun:
+        yield first, begun
 
 
 def _index(word: str, count: int) -> int:
@@ -148,8 +164,14 @@ def clean_mesh(
             f"{raw.path}: faces must be triangles, got {int((corners > 3).sum())} of {len(corners)} with more corners "
             f"(first: face {int(np.argmax(corners > 3))}); pass --triangulate to split them"
         )
-    faces = _fan(polygons)
-    panel = None if panels is None else raw.uv[_fan(panels)] * scale
+    cut = triangles(raw.vertices, polygons)
+    if uncut := [i for i, each in enumerate(cut) if not each]:
+        raise CaphyError(
+            f"{raw.path}: face {uncut[0]} with {len(polygons[uncut[0]])} corners cannot be cut into triangles "
+            f"({len(uncut)} such faces); it has no area or crosses itself: triangulate it in a mesh editor"
+        )
+    faces = _cornered(polygons, cut)
+    panel = None if panels is None else raw.uv[_cornered(panels, cut)] * scale
     vertices = upright(raw.vertices, up or "y") * scale
     chosen = _choose(raw, vertices, faces, component)
     used, flat = np.unique(faces[chosen], return_inverse=True)
@@ -183,9 +205,10 @@ def _check_defects(raw: RawMesh, defects: topology.Defects) -> None:
     )
 
 
-def _fan(polygons: list[list[int]]) -> np.ndarray:
-    """Triangles (F, 3) of convex polygons, fanned from their first corner."""
-    return np.array([[p[0], p[k], p[k + 1]] for p in polygons for k in range(1, len(p) - 1)], dtype=np.int64)
+def _cornered(polygons: list[list[int]], cut: list[list[Corners]]) -> np.ndarray:
+    """Triangles (F, 3) of polygons, cut at the places of their corners."""
+    found = [[p[i] for i in each] for p, own in zip(polygons, cut, strict=True) for each in own]
+    return np.array(found, dtype=np.int64)
 
 
 def upright(points: np.ndarray, up: Axis) -> np.ndarray:
@@ -222,9 +245,14 @@ def _choose(raw: RawMesh, vertices: np.ndarray, faces: np.ndarray, component: st
         return parts[0]
     large = [i for i, p in enumerate(parts) if len(p) >= 0.2 * len(parts[0])]  # not a button or a belt loop
     if component in ("upper", "lower"):
+        if len(parts) == 1:
+            raise CaphyError(
+                f"{raw.path}: is one connected piece, so that none is {component}; cut it in a mesh editor, or leave "
+                "--component out"
+            )
         pick = (max if component == "upper" else min)(large, key=lambda i: height[i])
         return parts[pick]
-    if not component.isdigit() or int(component) >= len(parts):
+    if not component.isdecimal() or int(component) >= len(parts):
         raise CaphyError(f"{raw.path}: component must be upper, lower or 0 to {len(parts) - 1}, got {component!r}")
     return parts[int(component)]
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from caphy.body.bundled import default_body
+from caphy.cli import main
 from caphy.commands import garment as command
 from caphy.errors import CaphyError
 from caphy.garment import panels
+from caphy.garment.families import FAMILIES, make
 from caphy.garment.from_mesh import garment_from_mesh, rest_metric
 from caphy.garment.landmarks import Landmarks
 from caphy.garment.template import Garment
-from caphy.garment.usermesh import clean_mesh, read_mesh
+from caphy.garment.usermesh import UserMesh, clean_mesh, read_mesh
 
 
 def write_obj(path, vertices, faces, uv=None):
@@ -175,3 +179,31 @@ def test_a_garment_far_from_the_body_is_refused(strip, tmp_path, marks):
     mesh = clean_mesh(read_mesh(write_obj(tmp_path / "far.obj", vertices + np.array([0, 3, 0]), faces)))
     with pytest.raises(CaphyError, match="pass --offset"):
         garment_from_mesh(mesh, "far", marks)
+
+
+@pytest.mark.parametrize("kind", ["tshirt", "trousers"])
+def test_a_garment_made_with_feet_on_the_ground_is_told_how_far_to_move(marks, kind):
+    """Nearest points alone would hang trousers on the arms."""
+    made = make(FAMILIES[kind](edge_length=0.04), marks.body)
+    stand = -marks.vertices[:, 1].min()
+    here = UserMesh(made.vertices, made.faces, None)
+    assert garment_from_mesh(here, "mine", marks).vertices.shape == made.vertices.shape
+    for wrong in (0.0, 0.1):  # another body's height
+        raised = replace(here, vertices=made.vertices + np.array([0.0, stand + wrong, 0.0]))
+        with pytest.raises(CaphyError, match=rf"feet at y = 0; pass --offset 0 {-stand:.3f} 0"):
+            garment_from_mesh(raised, "mine", marks)
+
+
+def test_one_piece_has_no_upper_part(strip, tmp_path):
+    raw = read_mesh(write_obj(tmp_path / "one.obj", *strip))
+    with pytest.raises(CaphyError, match="one connected piece, so that none is upper"):
+        clean_mesh(raw, component="upper")
+    with pytest.raises(CaphyError, match="component must be upper, lower or 0 to 0"):
+        clean_mesh(raw, component="²")
+
+
+@pytest.mark.parametrize("scale", ["0", "nan", "-0.1", "inf"])
+def test_a_scale_that_is_none_is_told_as_that(strip, tmp_path, capsys, scale):
+    path = write_obj(tmp_path / "one.obj", *strip)
+    assert main(["garment", "check", str(path), "--scale", scale]) == 2
+    assert "--scale must be positive" in capsys.readouterr().err

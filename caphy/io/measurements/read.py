@@ -41,7 +41,9 @@ def _told_of_what_nobody_reads(measurement: Measurement) -> Measurement:
     given = [name for name in _POSED if getattr(measurement, name) is not None]
     if measurement.poses is not None or not given:
         return measurement
-    return measurement.with_notes(f"{', '.join(given)} tell of a body in poses; there are no poses, so they are ignored")
+    return measurement.with_notes(
+        f"{', '.join(given)} tell of a body in poses; there are no poses, so they are ignored"
+    )
 
 
 def write_measurement(measurement: Measurement, path: str | Path) -> Path:
