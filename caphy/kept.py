@@ -48,9 +48,9 @@ class Kept:
             return
         try:
             write_npz(self.folder / f"{key}.npz", arrays, compressed=False)  # what was computed hardly shrinks
-        except OSError as error:
+        except CaphyError as error:
             if not self._failed:
-                print(f"{self.folder}: unfinished work cannot be kept there ({error.strerror})", file=sys.stderr)
+                print(f"unfinished work cannot be kept there: {error}", file=sys.stderr)
             self._failed = True
 
 

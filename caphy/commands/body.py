@@ -13,6 +13,7 @@ import tyro
 
 from caphy.body.model import BodyModel
 from caphy.errors import CaphyError
+from caphy.garment.template import write_npz
 from caphy.io.places import writable_file
 
 if TYPE_CHECKING:
@@ -98,9 +99,7 @@ def _build(command: Build) -> None:
     command.out.mkdir(parents=True, exist_ok=True)
     for resolution, arrays in bodies.items():
         path = command.out / f"body_{resolution}.npz"
-        partial = path.with_suffix(".partial.npz")
-        np.savez_compressed(partial, allow_pickle=False, **arrays)
-        partial.replace(path)
+        write_npz(path, arrays)
         print(f"{path}: {len(arrays['v_template'])} vertices, {path.stat().st_size / 1e6:.2f} MB")
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,6 +13,7 @@ import numpy as np
 from caphy.conventions import JOINT_COUNT
 from caphy.errors import CaphyError
 from caphy.garment import topology
+from caphy.io.places import new_file
 from caphy.io.unpacked import require_unpackable
 
 FORMAT = "caphy-garment-1"
@@ -166,17 +165,9 @@ class Garment:
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray], compressed: bool = True) -> None:
-    """Write an npz by way of a temporary file beside it, so that a reader never sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".partial")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            (np.savez_compressed if compressed else np.savez)(stream, allow_pickle=False, **arrays)
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        Path(partial).unlink(missing_ok=True)
-        raise
+    """Write an npz, whole or not at all; its folder is made. Raises :class:`CaphyError` where that fails."""
+    with new_file(path) as stream:
+        (np.savez_compressed if compressed else np.savez)(stream, allow_pickle=False, **arrays)
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:

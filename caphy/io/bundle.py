@@ -11,8 +11,6 @@ import io
 import json
 import os
 import re
-import shutil
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -26,7 +24,7 @@ from caphy.body.kinematics import joint_transforms
 from caphy.body.skinning import blend_transforms, skin
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
 from caphy.errors import CaphyError
-from caphy.io.places import swap
+from caphy.io.places import new_folder
 from caphy.rotations import matrix_from_axis_angle
 
 SCHEMA: Final = "caphy-avatar-1"
@@ -153,23 +151,27 @@ def write_bundle(bundle: AvatarBundle, folder: str | Path) -> None:
     require_consistent(bundle, str(folder))
     files = {ARRAYS: _arrays_bytes(bundle), **{f"{g.name}.onnx": g.onnx for g in bundle.garments}}
     files[MANIFEST] = json.dumps(_manifest(bundle, files), indent=1, allow_nan=False).encode()
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
+    with new_folder(folder) as partial:
         for name, content in files.items():
             (partial / name).write_bytes(content)
-        partial.chmod(0o755)
-        swap(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def require_place(folder: Path) -> None:
     """Raise :class:`CaphyError` where a bundle would overwrite something else, or the current folder."""
-    if folder.exists() and folder.samefile("."):
-        raise CaphyError(f"{folder}: is the current folder, which cannot be replaced; name one in it")
-    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CaphyError(f"{folder}: exists and is no avatar bundle; choose another place or remove it")
+    if not folder.exists():
+        return
+    if Path.cwd().is_relative_to(folder.resolve()):
+        raise CaphyError(f"{folder}: is or holds the current folder, which cannot be replaced; name one in it")
+    if not (folder / MANIFEST).is_file():
+        if not folder.is_dir() or any(folder.iterdir()):
+            raise CaphyError(f"{folder}: exists and is no avatar bundle; choose another place or remove it")
+        return
+    others = sorted(p.name for p in folder.iterdir() if p.name not in (MANIFEST, ARRAYS) and p.suffix != ".onnx")
+    if others:
+        raise CaphyError(
+            f"{folder}: holds {others[0]}{f' and {len(others) - 1} more' if len(others) > 1 else ''} beside an avatar "
+            "bundle, and is replaced whole; move that, or choose another place"
+        )
 
 
 def read_bundle(folder: str | Path) -> AvatarBundle:

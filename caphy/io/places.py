@@ -4,9 +4,12 @@ all."""
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from caphy.errors import CaphyError
 
@@ -61,19 +64,53 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file, whole or not at all; its folder is made. Raises :class:`CaphyError` where that fails."""
-    try:
+    with new_file(path) as file:
+        file.write(content)
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[IO[bytes]]:
+    """A file to write to, which takes the place of ``path`` at the end, whole or not at all; its folder is made.
+
+    Raises :class:`CaphyError` where that fails, a full disk for one.
+    """
+    with _told(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-", suffix=".partial")
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(content)
+                yield file
             os.chmod(partial, 0o644)
             os.replace(partial, path)
         except BaseException:
             Path(partial).unlink(missing_ok=True)
             raise
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """A folder to fill, which takes the place of ``folder`` at the end, whole or not at all; see :func:`swap`.
+
+    Raises :class:`CaphyError` where that fails, a full disk for one.
+    """
+    with _told(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        try:
+            yield partial
+            partial.chmod(0o755)
+            swap(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What the system says against writing, with the place and what to do."""
+    try:
+        yield
     except OSError as error:
-        why = f"cannot be written ({error.strerror}); free space, or choose another place"
+        why = f"cannot be written ({error.strerror or error}); free space, or choose another place"
         raise CaphyError(f"{path}: {why}") from error
 
 

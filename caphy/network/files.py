@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from caphy.errors import CaphyError
+from caphy.io.places import new_file
 from caphy.network.garment_network import GarmentNetwork
 
 FORMAT = "caphy-network-1"
@@ -54,19 +54,11 @@ def load_network(path: Path) -> GarmentNetwork:
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, object]) -> None:
     """Write tensors and a JSON header as safetensors, so that a reader, or a power cut, never sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     content = save({k: v.contiguous() for k, v in tensors.items()}, {"caphy": json.dumps(header)})
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".partial")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        Path(partial).unlink(missing_ok=True)
-        raise
+    with new_file(path) as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def read_tensors(path: Path, form: str, what: str) -> tuple[dict[str, Tensor], dict]:

@@ -90,7 +90,7 @@ def test_a_failed_write_leaves_the_old_file(garment, tmp_path, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr(np, "savez_compressed", fail)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(CaphyError, match=r"cannot be written \(disk full\); free space"):
         garment.save(tmp_path / "strip.npz")
     assert (tmp_path / "strip.npz").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 

@@ -102,7 +102,7 @@ def test_writing_again_replaces_the_whole_bundle(bundle, folder):
 
 def test_a_failed_write_leaves_the_old_bundle(bundle, folder, monkeypatch):
     monkeypatch.setattr(Path, "write_bytes", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(CaphyError, match=r"cannot be written \(disk full\); free space"):
         write_bundle(replace(bundle, name="second"), folder)
     monkeypatch.undo()
     assert read_bundle(folder).name == "test"
@@ -123,7 +123,7 @@ def test_a_link_stays_a_link_and_the_current_folder_is_refused(bundle, folder, t
     assert (tmp_path / "latest").is_symlink() and read_bundle(folder).name == "second"
     assert {path.name for path in tmp_path.iterdir()} == {folder.name, "latest"}
     monkeypatch.chdir(folder)
-    with pytest.raises(CaphyError, match="is the current folder"):
+    with pytest.raises(CaphyError, match="is or holds the current folder"):
         write_bundle(bundle, ".")
     assert read_bundle(folder).name == "second"
 
@@ -200,3 +200,15 @@ def test_pickles_are_never_read(folder):
     edit(folder, lambda m: m["files"][ARRAYS].update(sha256=digest))
     with pytest.raises(CaphyError, match="plain arrays"):
         read_bundle(folder)
+
+
+def test_what_lies_beside_a_bundle_is_not_removed_with_it(bundle, folder, monkeypatch):
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(CaphyError, match=r"holds notes\.txt beside an avatar bundle, and is replaced whole; move that"):
+        write_bundle(bundle, folder)
+    assert (folder / "notes.txt").read_text() == "mine"
+    (folder / "notes.txt").unlink()
+    (folder / "inner").mkdir()
+    monkeypatch.chdir(folder / "inner")
+    with pytest.raises(CaphyError, match="holds the current folder"):
+        write_bundle(bundle, "..")

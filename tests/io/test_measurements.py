@@ -327,7 +327,7 @@ def test_a_folder_takes_another_s_place_whole(tmp_path, monkeypatch):
         replaced(one, other)
 
     monkeypatch.setattr(os, "replace", fails)
-    with pytest.raises(OSError, match="no"):
+    with pytest.raises(CaphyError, match=r"cannot be written \(no\)"):
         write_measurement(dressed(6), tmp_path / "vest")
     assert sorted(path.name for path in (tmp_path / "vest").iterdir()) == before
     assert len(read_measurement(tmp_path / "vest")) == 8

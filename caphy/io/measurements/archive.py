@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 
 from caphy.errors import CaphyError
 from caphy.io.measurements.measurement import PLAIN, Measurement
+from caphy.io.places import new_file
 from caphy.io.poses.sequence import Y_UP_FROM_Z_UP, PoseSequence
 from caphy.io.unpacked import require_unpackable
 
@@ -94,7 +93,8 @@ def y_up(measurement: Measurement) -> Measurement:
 
 def write_archive(measurement: Measurement, path: Path) -> None:
     """Write an npz, whole or not at all."""
-    with_partial(path, lambda file: np.savez_compressed(file, allow_pickle=False, **to_arrays(measurement)))
+    with new_file(path) as file:
+        np.savez_compressed(file, allow_pickle=False, **to_arrays(measurement))
 
 
 def to_arrays(measurement: Measurement) -> dict[str, Any]:
@@ -110,22 +110,6 @@ def to_arrays(measurement: Measurement) -> dict[str, Any]:
     if measurement.notes:
         arrays["notes"] = np.array(measurement.notes)
     return arrays | {name: value for name in ARRAYS if (value := getattr(measurement, name)) is not None}
-
-
-def with_partial(path: Path, write: Any) -> None:
-    """Call ``write`` with a temporary file beside ``path``, then put it in place."""
-    try:
-        handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    except OSError as error:
-        raise CaphyError(f"{path}: cannot be written: {error}") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        Path(partial).unlink(missing_ok=True)
-        raise
 
 
 def _spread(given: dict[str, Any], index: np.ndarray, count: Any, source: str) -> None:

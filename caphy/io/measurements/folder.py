@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import tempfile
 import tomllib
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +14,7 @@ from caphy.errors import CaphyError
 from caphy.io.measurements.archive import ARRAYS, STEADY, from_arrays, to_arrays
 from caphy.io.measurements.checks import mesh_edges
 from caphy.io.measurements.measurement import Measurement
-from caphy.io.places import swap
+from caphy.io.places import new_folder
 from caphy.io.unpacked import require_unpackable
 
 DESCRIPTION: Final = "measurement.toml"
@@ -93,13 +91,8 @@ def write_folder(measurement: Measurement, folder: Path) -> None:
     """Write a folder; a reader sees it whole or not at all. What stood there is removed once the new one is there."""
     if folder.exists() and not (folder / DESCRIPTION).is_file():
         raise CaphyError(f"{folder}: exists and is no measurement; choose another name")
-    partial = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
+    with new_folder(folder) as partial:
         _fill(measurement, partial)
-        partial.chmod(0o755)
-        swap(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _fill(measurement: Measurement, folder: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -12,6 +10,7 @@ import numpy as np
 
 from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
+from caphy.io.places import new_file
 from caphy.io.poses.archive import Archive
 from caphy.io.poses.sequence import PoseSequence
 
@@ -38,18 +37,8 @@ def write_poses(sequence: PoseSequence, path: Path) -> None:
     }
     names = ("poses", "transl", "pelvis", *(() if sequence.betas is None else ("betas",)))
     arrays: dict[str, Any] = {name: getattr(sequence, name) for name in names}
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    except OSError as error:
-        raise CaphyError(f"{path}: cannot be written: {error}") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with new_file(path) as file:
+        np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
 
 
 def is_canonical(archive: Archive) -> bool:
