@@ -28,10 +28,10 @@ def write_usd(motion: DressedMotion, path: Path) -> Path:
     written there.
     """
     usd = _pxr("Usd")
-    if path.suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise CaphyError(f"{path}: a USD file's name must end in {', '.join(SUFFIXES)}")
     writable_file(path).parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    partial = path.with_name(f".{path.stem}.partial{path.suffix.lower()}")
     partial.unlink(missing_ok=True)
     try:
         stage = usd.Stage.CreateNew(str(partial))
@@ -90,5 +90,6 @@ def _add_mesh(stage: Any, name: str, mesh: SkinnedMesh, vertices: np.ndarray, co
     prim.CreateDisplayColorAttr([gf.Vec3f(*(float(c) for c in colour))])
     points, extent = prim.CreatePointsAttr(), prim.CreateExtentAttr()
     for frame, posed in enumerate(vertices):
-        points.Set(vt.Vec3fArray.FromNumpy(np.ascontiguousarray(posed, np.float32)), frame)
-        extent.Set([gf.Vec3f(*posed.min(axis=0).tolist()), gf.Vec3f(*posed.max(axis=0).tolist())], frame)
+        for time in (frame,) if frame else (frame, _pxr("Usd").TimeCode.Default()):  # which some programs show at first
+            points.Set(vt.Vec3fArray.FromNumpy(np.ascontiguousarray(posed, np.float32)), time)
+            extent.Set([gf.Vec3f(*posed.min(axis=0).tolist()), gf.Vec3f(*posed.max(axis=0).tolist())], time)

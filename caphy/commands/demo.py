@@ -50,7 +50,7 @@ def main(arguments: list[str]) -> None:
 
     if not 0 < command.seconds < float("inf"):
         raise CaphyError(f"--seconds must be positive and finite, got {command.seconds:g}")
-    writable_folder(command.out).mkdir(parents=True, exist_ok=True)
+    writable_folder(command.out)
     folder = bundled(command.avatar) if command.avatar else BUNDLED_AVATARS / "default"
     bundle = read_bundle(folder)
     motion = _motion(command, bundle.fps).about(bundle.joints[0])

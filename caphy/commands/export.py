@@ -61,6 +61,11 @@ def main(arguments: list[str]) -> None:
     again = command.format == "bundle" and len(command.runs) == 1 and (command.runs[0] / MANIFEST).is_file()
     if again or command.format != "bundle":
         _refuse_of_trainings(command)
+    morphs = command.format == "glb" and command.poses is None
+    if not morphs and command.within_mm != Export.within_mm:
+        raise CaphyError("--within-mm is for the avatar with its blend shapes: --format glb without --poses")
+    if not 0 <= command.within_mm < np.inf:
+        raise CaphyError(f"--within-mm must be finite and not negative, got {command.within_mm}")
     if command.format == "bundle":
         require_place(command.out)
     if again:
@@ -96,14 +101,13 @@ def _export_bundle(command: Export) -> None:
 
     if len(command.runs) != 1:
         raise CaphyError(f"--format {command.format} takes one avatar bundle, got {len(command.runs)} folders")
-    if command.format == "glb" and command.out.suffix != ".glb":
-        raise CaphyError(f"{command.out}: a GLB file's name must end in .glb")
+    for form, endings in (("glb", (".glb",)), ("usd", (".usdc", ".usda", ".usd"))):
+        if command.format == form and command.out.suffix.lower() not in endings:
+            raise CaphyError(f"{command.out}: a {form.upper()} file's name must end in {' or '.join(endings)}")
     bundle = read_bundle(command.runs[0])
     if command.poses is None:
         if command.format != "glb":
             raise CaphyError(f"--format {command.format} writes a motion; give one with --poses FILE")
-        if not command.within_mm >= 0:
-            raise CaphyError(f"--within-mm must not be negative, got {command.within_mm}")
         content = avatar_glb(bundle, 1e-3 * command.within_mm)
         write_bytes(command.out, content)
         print(f"{command.out}: the avatar with its blend shapes, {len(content) / 1e6:.1f} MB")

@@ -13,6 +13,8 @@ from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder
 from caphy.io.poses import PoseSequence, read_poses, write_poses
 
+LARGEST = 1e8
+"""Pixels of a contact sheet: a PNG of some 100 MB, drawn in minutes."""
 Files = Annotated[tuple[Path, ...], tyro.conf.Positional]
 
 
@@ -152,11 +154,11 @@ def _row(path: Path, sequence: PoseSequence, jumps: int) -> tuple[str, ...]:
 
 
 def _targets(command: Convert | Condition) -> list[tuple[Path, Path]]:
-    """Each file, and where its new form goes; makes the folder."""
+    """Each file, and where its new form goes."""
     targets = [command.out / f"{path.stem}.npz" for path in command.files]
     if len(set(targets)) != len(targets):
         raise CaphyError("two files have the same name; convert them into different folders with --out")
-    writable_folder(command.out).mkdir(parents=True, exist_ok=True)
+    writable_folder(command.out)
     for target in targets:
         writable_file(target, inputs=command.files)
     return list(zip(command.files, targets, strict=True))
@@ -198,7 +200,13 @@ def _render(command: Render) -> None:
 
     if command.frames < 1 or command.size < 16:
         raise CaphyError(f"--frames must be at least 1 and --size 16, got {command.frames} and {command.size}")
-    writable_file(command.out, ".png", command.files).parent.mkdir(parents=True, exist_ok=True)
+    pixels = len(command.files) * command.frames * command.size**2
+    if not np.isfinite(command.azimuth) or pixels > LARGEST:
+        raise CaphyError(
+            f"--azimuth must be finite, and all pictures together have at most {LARGEST:.0e} pixels, got "
+            f"{command.azimuth:g} degrees and {pixels:.1e} pixels; ask for fewer --frames or a smaller --size"
+        )
+    writable_file(command.out, ".png", command.files)
     images, labels = [], []
     for path in command.files:
         sequence = command.source.read(path)

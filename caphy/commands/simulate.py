@@ -63,7 +63,7 @@ def main(arguments: list[str]) -> None:
     read += [] if command.model is None else [command.model]
     for path, suffix in ((command.out, ".npz"), (command.render, ".png")):
         if path is not None:
-            writable_file(path, suffix, read).parent.mkdir(parents=True, exist_ok=True)
+            writable_file(path, suffix, read)
     if command.fabric is not None and command.model is not None:
         raise CaphyError("--fabric and --model exclude each other; give one of them")
     with unfinished(command.out.with_suffix(f".{UNFINISHED}")) as kept:

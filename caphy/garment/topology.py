@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NO_AREA = 1e-6
-"""Least area of a face, as a share of their median: less is what rounding leaves of none."""
+NO_AREA, NO_HEIGHT = 1e-6, 1e-4
+"""Least area of a face, as a share of their median, and least height over its longest side: less is what rounding
+leaves of none, be it that of a file with six decimals."""
 
 
 def half_edges(faces: np.ndarray) -> np.ndarray:
@@ -231,7 +232,8 @@ def face_areas(points: np.ndarray, faces: np.ndarray | None = None) -> np.ndarra
 def without_area(corners: np.ndarray) -> np.ndarray:
     """Triangles, of corners (F, 3, 2|3), that have no area but what rounding leaves."""
     area = face_areas(corners)
-    return np.flatnonzero(area <= NO_AREA * np.median(area))
+    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=-1).max(axis=1)
+    return np.flatnonzero((area <= NO_AREA * np.median(area)) | (2 * area <= NO_HEIGHT * longest))
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

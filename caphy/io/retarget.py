@@ -135,7 +135,7 @@ def _alignments(bones: dict[str, int], rest: np.ndarray, joints: np.ndarray, sou
         if (length := float(np.linalg.norm(shin))) > 0 and -shin[1] < 0.5 * length:
             raise CaphyError(
                 f"{source}: its shins point {(shin / length).round(2)} in the zero pose, which must stand with legs "
-                "down and y up; if z is up in the file say so (--up z)"
+                "down and y up; say which axis is up in the file: --up y or --up z"
             )
         splay = _smallest_turn(np.array([0.0, -1.0, 0.0]), shin, f"{source}: bone '{side[0]}tibia'")
         turns[[INDEX[f"{side}_ankle"], INDEX[f"{side}_foot"]]] = splay

@@ -105,3 +105,25 @@ def test_reading_poses_needs_neither_torch_nor_scipy():
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+def test_what_cannot_be_read_leaves_no_folder(tmp_path, capsys):
+    for words in (["poses", "condition"], ["poses", "convert"], ["demo"]):
+        assert main([*words, str(tmp_path / "nope.bvh"), "--out", str(tmp_path / "new")]) == 2
+        assert "no such file" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("asked", [["--azimuth", "nan"], ["--frames", "200", "--size", "4000"]])
+def test_pictures_that_are_none_or_too_large_are_refused(clip, tmp_path, capsys, asked):
+    assert main(["poses", "render", str(clip), *asked, "--out", str(tmp_path / "a.png")]) == 2
+    assert "--azimuth must be finite, and all pictures together" in capsys.readouterr().err
+
+
+def test_a_folder_of_motions_is_no_motion(clip, capsys):
+    for rate in ([], ["--fps", "30"]):
+        assert main(["poses", "info", str(clip.parent), *rate]) == 2
+        assert "is a folder, and only one with a file FRAME_PERSON.npz for each frame" in capsys.readouterr().err
+    clip.rename(clip.with_name("02_01.npz"))
+    assert main(["poses", "info", str(clip.parent), "--fps", "30"]) == 2
+    assert "name the motions in it one by one" in capsys.readouterr().err

@@ -58,6 +58,7 @@ def test_usd_holds_every_frame(dressed, served, tmp_path):
             np.testing.assert_allclose([low, high], [points.min(axis=0), points.max(axis=0)], atol=1e-7)
         rest = dressed.bundle.body if name == "body" else dressed.bundle.garment(name).mesh
         np.testing.assert_array_equal(np.reshape(mesh.GetFaceVertexIndicesAttr().Get(), (-1, 3)), rest.faces)
+        np.testing.assert_array_equal(mesh.GetPointsAttr().Get(), mesh.GetPointsAttr().Get(0))  # at no time: the first
     assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.usdc"]
 
 
@@ -122,7 +123,7 @@ def test_frames_of_another_motion_are_not_mixed_in(dressed, bundle, motion, tmp_
 
 @pytest.mark.parametrize(
     ("form", "out", "found"),
-    [("glb", "walk.glb", 1), ("usd", "walk.usdc", 1), ("pc2", "caches", 6), ("obj", "frames", 9)],
+    [("glb", "walk.glb", 1), ("usd", "walk.USDC", 1), ("pc2", "caches", 6), ("obj", "frames", 9)],
 )
 def test_the_command_writes_every_format(bundle, motion, tmp_path, capsys, form, out, found):
     write_bundle(bundle, tmp_path / "shell")
@@ -139,6 +140,10 @@ def test_the_command_writes_every_format(bundle, motion, tmp_path, capsys, form,
         (["--format", "usd", "-o", "a.usdc"], "--poses"),
         (["--format", "glb", "-o", "a.gltf"], ".glb"),
         (["--format", "glb", "-o", "a.glb", "--within-mm", "-1"], "--within-mm"),
+        (["--format", "glb", "-o", "a.glb", "--within-mm", "inf"], "--within-mm must be finite"),
+        (["--format", "glb", "--poses", "w.npz", "-o", "a.glb", "--within-mm", "5"], "--within-mm is for the avatar"),
+        (["-o", "again", "--within-mm", "5"], "--within-mm is for the avatar"),
+        (["--format", "usd", "--poses", "w.npz", "-o", "a.abc"], ".usdc or .usda"),
         (["another", "--format", "glb", "-o", "a.glb"], "one avatar bundle"),
         (["-o", "again", "--licence", "mine"], "--licence belongs to the export of trainings"),
         (["--format", "glb", "-o", "a.glb", "--motions", "m"], "--motions belongs to the export of trainings"),

@@ -178,7 +178,7 @@ def test_a_skeleton_with_z_up_is_refused_and_read_where_that_is_said(shared_data
         rotations=turn @ motion.rotations @ turn.T,
         root=motion.root @ turn.T,
     )
-    with pytest.raises(CaphyError, match=r"its shins point .* if z is up in the file say so \(--up z\)"):
+    with pytest.raises(CaphyError, match=r"its shins point .* say which axis is up in the file: --up y or --up z"):
         retarget(turned, default_rest())
     np.testing.assert_allclose(upright(turned, "z").root, motion.root, atol=1e-12)
     there, here = (retarget(each, default_rest()) for each in (upright(turned, "z"), motion))

@@ -47,12 +47,15 @@ def is_canonical(archive: Archive) -> bool:
 
 
 def read_canonical(archive: Archive, fps: float | None = None, up: Literal["y", "z"] | None = None) -> PoseSequence:
-    """The sequence in a file of :func:`write_poses`; ``fps`` [Hz] overrides the file's. Raises :class:`CaphyError`."""
+    """The sequence in a file of :func:`write_poses`; ``fps`` [Hz] overrides the file's. A note says what it was made of.
+
+    Raises :class:`CaphyError`.
+    """
     try:
         header = json.loads(archive.text("header"))
         version, joints = header["version"], tuple(header["joints"])
-        fields = {name: header[name] for name in ("fps", "up_axis", "frame", "model", "source")}
-        notes = tuple(header["notes"])
+        fields = {name: header[name] for name in ("fps", "up_axis", "frame", "model")}
+        notes, origin = tuple(header["notes"]), header["source"]
     except (ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{archive.path}: its header cannot be understood: {error!r}") from error
     if version != VERSION:
@@ -64,7 +67,10 @@ def read_canonical(archive: Archive, fps: float | None = None, up: Literal["y", 
     if fps is not None and fps != fields["fps"]:
         notes = (*notes, f"frame rate {fps:g} replaces the file's {fields['fps']:g}")
         fields["fps"] = fps
+    if origin and (said := f"made from {origin}") not in notes:
+        notes = (*notes, said)
     return PoseSequence(
+        source=str(archive.path),
         poses=archive.floats("poses"),
         transl=archive.floats("transl"),
         pelvis=archive.floats("pelvis"),

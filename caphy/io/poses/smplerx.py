@@ -18,11 +18,13 @@ from caphy.io.poses.sequence import PoseSequence
 from caphy.io.poses.smpl import require_fps
 from caphy.io.poses.smplx_npz import parts_of_pose
 
+_NAME = re.compile(r"(?:.*?)(\d+)(?:_(\d+))?")
+
 
 def read_smplerx(folder: Path, fps: float | None, person: int | None = None) -> PoseSequence:
     """One person's motion from a folder of frames; ``fps`` [Hz] must be given. Raises :class:`CaphyError`."""
-    fps = require_fps(fps, str(folder), "frames in separate files have no frame rate")
     files, person = _files(folder, person)
+    fps = require_fps(fps, str(folder), "frames in separate files have no frame rate")
     poses, transl, betas = [], [], []
     for path in files.values():
         archive = Archive(path)
@@ -45,13 +47,21 @@ def read_smplerx(folder: Path, fps: float | None, person: int | None = None) -> 
     )
 
 
+def _is_of_one_frame(archive: Archive) -> bool:
+    """Whether it holds the pose of 21 joints once."""
+    return "body_pose" in archive and archive.floats("body_pose").size == 63
+
+
 def _files(folder: Path, person: int | None) -> tuple[dict[int, Path], int]:
     """The chosen person's file of each frame, in order of frames."""
-    named = [(re.fullmatch(r"(?:.*?)(\d+)(?:_(\d+))?", path.stem), path) for path in sorted(folder.glob("*.npz"))]
+    named = [(_NAME.fullmatch(path.stem), path) for path in sorted(folder.glob("*.npz"))]
     found = [(int(match[2] or 0), int(match[1]), path) for match, path in named if match]
     persons = sorted({number for number, _, _ in found})
-    if not found:
-        raise CaphyError(f"{folder}: holds no files named FRAME_PERSON.npz")
+    if not found or not _is_of_one_frame(Archive(found[0][2])):
+        raise CaphyError(
+            f"{folder}: is a folder, and only one with a file FRAME_PERSON.npz for each frame (SMPLer-X) is a motion; "
+            "name the motions in it one by one"
+        )
     if person is None and len(persons) > 1:
         raise CaphyError(
             f"{folder}: up to {len(persons)} persons per frame, and they are not tracked; "
