@@ -131,7 +131,7 @@ def test_of_two_halves_wound_against_each_other_one_is_turned(cup):
 
 
 def test_a_face_as_flat_as_rounding_has_no_area():
-    """A vertex that six decimals put amid a side leaves a face of 5e-7 m by 2 cm, far above a millionth of the others."""
+    """A vertex that six decimals put amid a side leaves a face of 5e-7 m by 2 cm, above a millionth of others."""
     flat = np.array([[[0.0, 0.0], [0.02, 0.0], [0.0, 0.02]], [[0.0, 0.0], [0.02, 0.0], [0.01, 5e-7]]])
     assert topology.without_area(flat).tolist() == [1]
     flat[1, 2, 1] = 1e-4

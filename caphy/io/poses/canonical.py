@@ -47,7 +47,7 @@ def is_canonical(archive: Archive) -> bool:
 
 
 def read_canonical(archive: Archive, fps: float | None = None, up: Literal["y", "z"] | None = None) -> PoseSequence:
-    """The sequence in a file of :func:`write_poses`; ``fps`` [Hz] overrides the file's. A note says what it was made of.
+    """The sequence in a file of :func:`write_poses`; ``fps`` [Hz] overrides the file's. A note says of what it is.
 
     Raises :class:`CaphyError`.
     """
