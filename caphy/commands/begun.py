@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,6 +123,17 @@ def _motions(trained: Sequence[PoseSequence]) -> str:
     from caphy.kept import digest
 
     return digest([(clip.poses, clip.transl, clip.fps) for clip in trained if Path(file_of(clip.source)).is_file()])
+
+
+def as_long(options: Train) -> Train:
+    """The options of a training that is resumed, to go on for as long as it was begun for unless they say otherwise."""
+    if not options.resume or options.steps is not None or options.minutes is not None:
+        return options
+    try:
+        before = json.loads((options.output / OPTIONS).read_text())
+    except (OSError, ValueError):
+        return options  # nothing was begun there, which the checkpoint's absence tells
+    return replace(options, steps=before.get("steps"), minutes=before.get("minutes"))
 
 
 def require_same_motions(folder: Path, trained: Sequence[PoseSequence]) -> None:

@@ -13,6 +13,7 @@ import tyro
 
 from caphy.commands.begun import (
     OPTIONS,
+    as_long,
     exporting,
     interrupted,
     option,
@@ -41,6 +42,9 @@ FPS = 30.0
 
 PROCEDURAL = tuple(range(12))
 """Seeds of the motions that there are where none are given; every sixth is held out."""
+
+PROCEDURAL_SECONDS = 20.0
+"""How long each of them is [s]."""
 
 
 BODY_EFFECTS = ("body_contact", "attachment")
@@ -199,7 +203,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     torch.manual_seed(options.seed)
     for file in options.effect_file:
         use_file(file)
-    options = _found(options)
+    options = as_long(_found(options))
     garment = _garment(options.garment)
     initial = None if options.init is None else read_initial(options.init, garment)
     model, shape = _model(options, initial), options.betas or (initial.betas if initial else ())
@@ -359,8 +363,8 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
             given = ", ".join(map(str, options.poses))
             raise CaphyError(f"{given}: steps too fast for a body leave no half second of motion; give others")
     else:
-        clips = [procedural_motion(seed, 20.0, FPS) for seed in PROCEDURAL]
-    extra = [procedural_motion(seed, 20.0, FPS) for seed in range(MADE_UP, MADE_UP + options.made_up)]
+        clips = [procedural_motion(seed, PROCEDURAL_SECONDS, FPS) for seed in PROCEDURAL]
+    extra = [procedural_motion(seed, PROCEDURAL_SECONDS, FPS) for seed in range(MADE_UP, MADE_UP + options.made_up)]
     if options.held_out:
         unseen = find_poses(options.held_out)
         names = {Path(file_of(clip.source)).resolve() for clip in unseen}

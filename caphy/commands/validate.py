@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -119,8 +120,10 @@ def _read(path: Path) -> dict:
 
 def _clips(options: Validate, settings: dict, fps: float) -> list[PoseSequence]:
     """Motions of 2 frames or more at a rate [Hz]."""
+    from caphy.commands.train import FPS, PROCEDURAL_SECONDS
     from caphy.io.poses import read_poses
     from caphy.io.poses.parts import file_of, read_part
+    from caphy.io.procedural import procedural_motion
 
     if options.poses:
         clips = [read_poses(path).require_world() for path in options.poses]
@@ -128,8 +131,14 @@ def _clips(options: Validate, settings: dict, fps: float) -> list[PoseSequence]:
             if len(clip.resample(fps)) < 2:
                 raise CaphyError(f"{clip.source}: must have 2 frames or more at {fps:g} fps; give a longer motion")
         return clips
-    there = [name for name in settings.get("held_out_paths", []) if Path(file_of(name)).is_file()]
-    clips = [clip for clip in map(read_part, there) if len(clip.resample(fps)) >= 2]
+    clips = []
+    for name in settings.get("held_out_paths", []):
+        if (made := re.fullmatch(r"procedural motion, seed (\d+)", name)) is not None:
+            clips.append(procedural_motion(int(made[1]), PROCEDURAL_SECONDS, FPS))
+        elif not Path(file_of(name)).is_file():
+            print(f"note: {name} was held out of training, and is not there any more")
+        elif len((clip := read_part(name)).resample(fps)) >= 2:
+            clips.append(clip)
     if not clips:
         raise CaphyError(f"{options.run}: none of the motions held out of training is there any more; give pose files")
     return clips

@@ -64,7 +64,8 @@ class ColourModel:
         random = np.random.default_rng(0)
         bins, priors = [], []
         for scan in scans:
-            some = random.choice(len(scan.vertices), min(SAMPLES, len(scan.vertices)), replace=False)
+            seen = np.unique(scan.faces)  # what is in no triangle has no colour of its own
+            some = random.choice(seen, min(SAMPLES, len(seen)), replace=False)
             bins.append(_bins(scan)[some])
             priors.append(place_prior(scan)[some])
         place, prior = np.concatenate(bins), np.concatenate(priors)

@@ -184,4 +184,5 @@ def _in_order(
     if colours is not None:
         moved = np.zeros((len(wanted), 3), dtype=np.uint8)
         moved[to] = colours
+        moved = moved[first[place[: len(wanted)]]]  # a place that the file lists twice has one colour
     return wanted, faces, moved

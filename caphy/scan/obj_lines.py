@@ -16,8 +16,10 @@ class ObjLines:
     """What an OBJ's lines say.
 
     vertices (V, 3), faces (F, 3) fanned from polygons' first corners, colours (V, 3) uint8 of the ``v`` lines or none;
-    ``painted``: all materials in use are in files beside it; ``plain``: its lines without comments, continued lines and
-    indices that count back, which some readers count from the file's end.
+    ``painted``: all materials in use are in files beside it; ``plain``: the same mesh with a vertex for each place and
+    place in the texture that a face has a corner at, which other readers take as it is: where a vertex has two places
+    in the texture they may take one between, where it is in no face none at all, and indices that count back they count
+    from the file's end.
     """
 
     vertices: np.ndarray
@@ -35,7 +37,7 @@ def read_obj_lines(path: Path) -> ObjLines:
     """
     text = re.sub(r"\\\r?\n", " ", path.read_text(encoding="utf-8", errors="replace"))
     lists: dict[str, list[list[str]]] = {"v": [], "vt": [], "vn": []}
-    faces, plain, libraries, used = [], [], [], set()
+    faces, plain, libraries, used, split = [], [], [], set(), {}
     for number, line in enumerate(text.splitlines(), 1):
         word, *rest = line.split() or [""]
         if "#" in line and (word in lists or word == "f"):
@@ -44,15 +46,15 @@ def read_obj_lines(path: Path) -> ObjLines:
             if word == "v" and len(rest) < 3:
                 raise _wrong(path, number, "a vertex must have three coordinates", line)
             lists[word].append(rest)
-            rest = rest[:3]
-        elif word == "f":
+            continue
+        if word == "f":
             counts = [len(lists[name]) for name in ("v", "vt", "vn")]
             corners = [_forward(corner, counts) for corner in rest]
             at = [int(corner.split("/")[0]) - 1 for corner in corners]
             if len(at) < 3 or min(at) < 0:
                 raise _wrong(path, number, "a face must have three corners, counted from 1", line)
             faces += [(at[0], at[k], at[k + 1]) for k in range(1, len(at) - 1)]
-            rest = corners
+            rest = [_split(corner, split) for corner in corners]
         elif word == "mtllib":
             libraries.append((" ".join(rest), *rest))  # one file, whose name may have spaces, or several
         elif word == "usemtl":
@@ -65,14 +67,28 @@ def read_obj_lines(path: Path) -> ObjLines:
             f"{path}: a face refers to vertex {triangles.max() + 1}, but there are {len(vertices)}; was the file cut "
             "short? Copy or export it again"
         )
+    if (most := max((texture for _, texture in split), default=0)) > len(lists["vt"]):
+        raise CaphyError(
+            f"{path}: a face refers to place {most} in the texture, but there are {len(lists['vt'])}; was the file cut "
+            "short? Copy or export it again"
+        )
     painted = bool(used) and used <= _materials(path.parent, libraries)
-    return ObjLines(vertices, triangles, _colours(lists["v"]), painted, "\n".join(plain))
+    heads = [f"v {' '.join(lists['v'][v - 1][:3])}" for v, _ in split]
+    heads += [f"vt {' '.join(lists['vt'][t - 1]) if t else '0 0'}" for _, t in split]
+    return ObjLines(vertices, triangles, _colours(lists["v"]), painted, "\n".join(heads + plain))
 
 
 def _wrong(path: Path, number: int, must: str, line: str) -> CaphyError:
     return CaphyError(
         f"{path}, line {number}: {must}, got {line.strip()[:60]!r}; was the file cut short? Copy it again"
     )
+
+
+def _split(corner: str, split: dict[tuple[int, int], int]) -> str:
+    """A corner by the number of its vertex and place in the texture (0 for none) among those there are so far."""
+    vertex, texture, *_ = (*corner.split("/"), "")
+    number = split.setdefault((int(vertex), int(texture or 0)), len(split) + 1)
+    return f"{number}/{number}"
 
 
 def _forward(corner: str, counts: list[int]) -> str:

@@ -103,11 +103,12 @@ def without_islands(scan: Scan, labels: np.ndarray) -> np.ndarray:
 
     labels = labels.copy()
     edges = _edges(scan.faces)
+    least = ISLAND * len(np.unique(scan.faces))
     for _ in range(3):
         a, b = edges[labels[edges[:, 0]] == labels[edges[:, 1]]].T
         graph = coo_matrix((np.ones(len(a)), (a, b)), (len(labels),) * 2)
         count, patch = connected_components(graph, directed=False)
-        small = np.bincount(patch, minlength=count) < ISLAND * len(labels)
+        small = np.bincount(patch, minlength=count) < least
         border = edges[labels[edges[:, 0]] != labels[edges[:, 1]]]
         border = np.concatenate([border, border[:, ::-1]])
         border = border[small[patch[border[:, 0]]] & (labels[border[:, 1]] != UNKNOWN)]

@@ -24,7 +24,7 @@ from caphy.io.poses import PoseSequence
 from caphy.register.points import ScanPoints
 from caphy.training.counterparts import Counterparts, Grouped, Target, look
 from caphy.training.motions import Motions
-from caphy.training.objective import Objective, Past
+from caphy.training.objective import Objective, Past, ground_energies
 from caphy.training.streams import HELD_WINDOWS, WINDOW, Windows
 
 LAMBDA_3D = 3000.0
@@ -138,7 +138,9 @@ class ScanLoss:
         still = torch.zeros_like(offsets[:, 0])
         one = replace(windows, frames=windows.frames[:, -1:], scored=np.zeros_like(windows.scored))
         scene, _ = objective.scene(motions, one, offsets, Past(still, still))
-        return scene.x, objective.potential.loss(scene.x, scene.step, scene.body)
+        with torch.no_grad():  # as of motions, it counts from the skinned template's weight
+            ground = sum(ground_energies(objective.potential, scene.body.anchor).values())
+        return scene.x, objective.potential.loss(scene.x, scene.step, scene.body) - ground
 
     def only(self, scans: Sequence[int]) -> ScanLoss:
         """The same of some scans alone, by their numbers."""

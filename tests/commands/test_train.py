@@ -218,3 +218,12 @@ def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):
     assert [Path(clip.source).name for clip in (*trained, *unseen)] == ["0.npz", "1.npz#0-24", "1.npz#24-30"]
     both = _clips(Train(Path("tube.npz"), (Path("motions"),), Path("run"), held_out=(inputs / "motions" / "1.npz",)))
     assert [Path(clip.source).name for clip in both[0]] == ["0.npz"]
+
+
+def test_resumed_without_a_length_it_has_the_one_it_began_with(inputs, capsys):
+    """Not 45 minutes, with the rate back at its start."""
+    assert train(inputs) == 0
+    words = ["train", str(inputs / "tube.npz"), str(inputs / "motions"), "-o", str(inputs / "run"), "--resume"]
+    assert main([*words, "--held-out", str(inputs / "unseen.npz")]) == 0
+    assert "has had 2 steps already" in capsys.readouterr().out
+    assert json.loads((inputs / "run" / "run.json").read_text())["steps"] == 2

@@ -13,6 +13,7 @@ from caphy.cli import main
 from caphy.commands.begun import exporting
 from caphy.commands.validate import Validate, _clips, _names
 from caphy.io.poses import write_poses
+from caphy.io.procedural import procedural_motion
 from export.runs import read_run
 
 
@@ -95,3 +96,10 @@ def test_of_a_clip_whose_end_is_held_out_the_end_is_measured(tmp_path):
     assert main(["validate", str(run)]) == 2
     write_poses(swaying(1), tmp_path / "short.npz")
     assert main(["validate", str(run), str(tmp_path / "short.npz")]) == 2
+
+
+def test_motions_made_from_seeds_are_made_again_and_those_that_are_gone_named(tmp_path, capsys):
+    names = [procedural_motion(5, 20.0, 30.0).source, str(tmp_path / "gone.npz")]
+    (made,) = _clips(Validate(tmp_path), {"held_out_paths": names}, 30.0)
+    np.testing.assert_array_equal(made.poses, procedural_motion(5, 20.0, 30.0).poses)
+    assert "gone.npz was held out of training, and is not there any more" in capsys.readouterr().out

@@ -159,3 +159,54 @@ def test_a_glb_whose_faces_have_no_vertices_is_refused(tmp_path):
     (tmp_path / "one.glb").write_bytes(damaged)
     with pytest.raises(CaphyError, match=r"one\.glb: cannot be read as a mesh"):
         read_mesh_file(tmp_path / "one.glb")
+
+
+def _textured(path, places, faces):
+    """An OBJ whose picture is a row of 4 by 40 colours; a corner is (vertex, place in the picture)."""
+    row = np.repeat(np.uint8([RED, GREEN, BLUE, WHITE]), 10, axis=0)
+    cv2.imwrite(str(path.parent / "row.png"), np.ascontiguousarray(np.tile(row[None, :, ::-1], (4, 1, 1))))
+    (path.parent / "one.mtl").write_text("newmtl skin\nmap_Kd row.png\n")
+    lines = [f"v {x} {y} {z}" for x, y, z in places] + [f"vt {(0.5 + k) / 40} 0.5" for k in range(40)]
+    lines += ["f " + " ".join(f"{v + 1}/{t + 1}" for v, t in face) for face in faces]
+    path.write_text("\n".join(["mtllib one.mtl", "usemtl skin", *lines]) + "\n")
+    return read_mesh_file(path)
+
+
+def test_vertices_on_seams_of_an_obj_have_colours_of_their_own(tmp_path):
+    """An atlas of six charts: a vertex has one place in the picture in each chart that it is in, all of its colour."""
+    random, side = np.random.default_rng(0), 8
+    x, y = np.meshgrid(np.arange(side), np.arange(side))
+    places = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    a = (side * np.arange(side - 1)[:, None] + np.arange(side - 1)).ravel()
+    faces = np.concatenate([np.column_stack([a, a + 1, a + side]), np.column_stack([a + 1, a + side + 1, a + side])])
+    charts = random.integers(6, size=(len(faces), 1))
+    pairs, place = np.unique(charts * side**2 + faces, return_inverse=True)
+    colours = random.integers(0, 256, (side**2, 3), dtype=np.uint8)
+    picture = colours[pairs % side**2][None, :, ::-1]
+    cv2.imwrite(str(tmp_path / "row.png"), np.ascontiguousarray(np.tile(picture, (4, 1, 1))))
+    (tmp_path / "one.mtl").write_text("newmtl skin\nmap_Kd row.png\n")
+    lines = [f"v {x} {y} {z}" for x, y, z in places]
+    lines += [f"vt {(0.5 + k) / len(pairs)} 0.5" for k in range(len(pairs))]
+    corners = np.stack([faces, place.reshape(faces.shape)], axis=-1) + 1
+    lines += ["f " + " ".join(f"{v}/{t}" for v, t in face) for face in corners]
+    (tmp_path / "one.obj").write_text("\n".join(["mtllib one.mtl", "usemtl skin", *lines]) + "\n")
+    np.testing.assert_array_equal(read_mesh_file(tmp_path / "one.obj").colours, colours)
+
+
+def test_vertices_of_an_obj_in_no_face_take_no_colours_from_the_others(tmp_path):
+    places = np.insert(SQUARE, 2, [5, 5, 5], axis=0)
+    found = _textured(tmp_path / "one.obj", places, [[(0, 0), (1, 12), (3, 25)], [(0, 3), (3, 25), (4, 35)]])
+    assert found.colours[[0, 1, 3, 4]].tolist() == [RED, GREEN, BLUE, WHITE]
+    np.testing.assert_array_equal(found.vertices, places)
+
+
+def test_places_that_an_obj_lists_twice_have_their_colour_twice(tmp_path):
+    """Black, they were learnt from as if they had been seen."""
+    places = SQUARE[[0, 1, 2, 0, 2, 3]]
+    found = _textured(tmp_path / "one.obj", places, [[(0, 0), (1, 12), (2, 25)], [(3, 3), (4, 25), (5, 35)]])
+    assert found.colours.tolist() == [RED, GREEN, BLUE, RED, BLUE, WHITE]
+
+
+def test_an_obj_without_the_place_in_the_texture_is_told(tmp_path):
+    with pytest.raises(CaphyError, match="refers to place 77 in the texture, but there are 40"):
+        _textured(tmp_path / "one.obj", SQUARE, [[(0, 0), (1, 12), (2, 76)]])

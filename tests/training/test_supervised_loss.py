@@ -175,6 +175,7 @@ def test_the_loss_is_the_potential_at_rest_and_lambda_times_the_distances(tmp_pa
         state, rest = BodyState(point, normal, velocity, anchored), Step.implicit_euler(1 / 30, now, now)
         distances.append(float(given.loss.chamfer(torch.tensor(at[None]), [given.loss.targets[index]])))
         expected = sum(potential.energies(now, rest, state).values()) + 1000 * distances[-1]
+        expected -= 9.81 * potential.model.density * (vertex_area(tube()) * anchor[:, 1]).sum()  # wherever the floor is
         assert float(loss[b, 0]) == pytest.approx(float(expected), rel=1e-4)
     bare = supervised_trainer(tmp_path / "bare", scans=3, physics=False).scans
     _, alone, _ = bare.loss.judge(bare.motions, windows, offsets, trainer.track.past)
