@@ -337,6 +337,22 @@ def parameters_matter(name: str) -> None:
         assert max(low, middle, high) - min(low, middle, high) > 1e-9 * abs(middle), f"{key} must change the energy"
         if parameter.linear:
             assert abs(low + high - 2 * middle) <= 1e-9 * abs(middle), f"{key} is called linear but is not"
+    linear_together(name)
+
+
+def linear_together(name: str) -> None:
+    """What parameters called linear do adds up: none multiplies another."""
+    linear = {key: parameter for key, parameter in find_effect(name).parameters.items() if parameter.linear}
+    varied = {key: _varied(parameter) for key, parameter in linear.items()}
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    values = ({key: middle + sign * change for key, (middle, change) in varied.items()} for sign in (-1, 0, 1))
+    low, middle, high = (_energy(name, cloth, at, **each) for each in values)
+    told = f"{' and '.join(linear)} {'is' if len(linear) == 1 else 'are'} called linear, but the energy is not linear"
+    advice = "" if len(linear) == 1 else " in all together: of those that multiply each other give all but one"
+    assert abs(low + high - 2 * middle) <= 1e-9 * max(abs(low), abs(high)), (
+        f"{told}{advice or '; give it'} linear=False"
+    )
 
 
 def parameter_slopes(name: str) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from caphy.effects.base import Step, companions
-from caphy.effects.battery import gradient_is_slope, hessian_is_slope, projection_is_semidefinite
+from caphy.effects.battery import gradient_is_slope, hessian_is_slope, linear_together, projection_is_semidefinite
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect, register_file
@@ -63,6 +63,10 @@ def _try(name: str, path: Path) -> None:
                 f"write (dot(v, v) + 1e-12) ** 1.25 for dot(v, v) ** 1.25; {advice}"
             )
     _try_derivatives(name, where, advice)
+    try:
+        linear_together(name)  # or numbers, tables of tensile tests among them, would be of another physics
+    except AssertionError as error:
+        raise CaphyError(f"{where}: {error}; {advice}") from error
     _try_projection(potential, name, at, where, advice)
 
 

@@ -407,3 +407,40 @@ def test_what_an_effect_reads_is_a_part_of_it(tmp_path):
 def test_the_librarys_coefficients_may_all_be_absent():
     for name, effect in registered_effects().items():
         registry._check_coefficients(effect, name)
+
+
+THREADS = """
+from caphy.effects.base import Parameter
+from caphy.effects.membrane import Membrane
+
+
+class Threads(Membrane):
+    \"\"\"Threads whose warp is so many times as stiff, E = A k / 2 (G_uu^2 + r G_vv^2) [J] per face.\"\"\"
+
+    name = "threads"
+    group = "stiffness"
+    parameters = {
+        "stiffness": Parameter(30.0, "N/m", 0.0, 1e8, doc="of the weft"),
+        "ratio": Parameter(0.5, "1", 0.0, 100.0, doc="warp over weft"),
+    }
+    reference = "Hooke"
+
+    def density(self, strain, e, p):
+        uu, vv, _ = strain
+        return 0.5 * p["stiffness"] * (uu**2 + p["ratio"] * vv**2)
+"""
+
+
+def test_numbers_that_multiply_each_other_are_not_both_linear(tmp_path, monkeypatch):
+    """Each is linear alone: tables of tensile tests added them up, and lost what they do together."""
+    path = tmp_path / "threads.py"
+    path.write_text(THREADS)
+    with pytest.raises(CaphyError, match=r"stiffness and ratio are called linear, but .* all but one linear=False"):
+        use_file(path)
+    with pytest.raises(AssertionError, match="not linear in all together"):
+        parameters_matter("threads")
+    monkeypatch.setattr(registry, "_from_files", {})
+    path = tmp_path / "mended.py"
+    path.write_text(THREADS.replace("100.0, doc", "100.0, linear=False, doc"))
+    use_file(path)
+    parameters_matter("threads")
