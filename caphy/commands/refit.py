@@ -20,6 +20,7 @@ from caphy.io.places import writable_file, writable_folder, write_text
 
 if TYPE_CHECKING:
     from caphy.body.model import BodyModel
+    from caphy.diagnose.base import Base
     from caphy.effects.model import Model
     from caphy.garment.template import Garment
     from caphy.io.measurements import Measurement
@@ -113,7 +114,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> int:
         if found.refused:
             print("The model stays as it was; nothing was written.")
             return 1
-        _write(command, model, found, measured, proof, crew, garment, body)
+        _write(command, model, found, measured, proof, crew, garment, body, learned)
     return 0
 
 
@@ -126,13 +127,16 @@ def _write(
     crew: Crew,
     garment: Garment | None,
     body: BodyModel | None,
+    learned: Base | None,
 ) -> None:
     """Write the model and its page, on which a measurement is shown before and after."""
-    held = found.held_out
+    held, since = found.held_out, model
+    if learned is not None and learned.changed:  # the errors before are of that model
+        since = learned.model.revised(model, "base: parameters were off", data=[path.stem for path in command.base])
     new = found.model.revised(
-        model,
+        since,
         f"refit{' with ' + ', '.join(found.kept) if found.kept else ' of its parameters'}",
-        data=[measurement.name for measurement in measured],
+        data=[path.stem for path in command.measurements],
         error_before=held.before_mm / 1e3,
         error_after=held.after_mm / 1e3,
         floor=None if held.floor_mm is None else held.floor_mm / 1e3,
@@ -154,11 +158,11 @@ def table(found: Refit) -> str:
     held = found.held_out
     lines = [f"{'number':40s} {'value':>11s}   95 % interval"]
     for name, (value, low, high, unit) in found.coefficients.items():
-        if _is_relative(name, unit):
+        if unit == "relative":
             ends = f"{100 * low:+.3g} to {100 * high:+.3g} % of what it was{at_limit(value)}"
             lines.append(f"{name:40s} {100 * value:+9.3g} %   {ends}")
         else:
-            lines.append(f"{name:40s} {value:11.4g}   {low:.4g} to {high:.4g} {unit}")
+            lines.append(f"{name:40s} {value:11.4g}   {low:.4g} to {high:.4g}{'' if unit == '1' else f' {unit}'}")
     most = "at most " if held.of_clouds else ""
     floor = "" if held.floor_mm is None else f"; noise alone gives {most}{held.floor_mm:.2f} mm"
     lines += [
@@ -168,14 +172,6 @@ def table(found: Refit) -> str:
     lines += _held(found)
     lines += [found.reason] if found.reason else []
     return "\n".join(lines + [f"Note: {note}." for note in found.notes])
-
-
-def _is_relative(name: str, unit: str) -> bool:
-    """Whether a fitted number is a share by which one that has a unit changes."""
-    from caphy.effects.registry import find_effect
-
-    effect, _, parameter = name.partition(".")
-    return unit == "1" and find_effect(effect).parameters[parameter.partition("[")[0]].unit != "1"
 
 
 def _held(found: Refit) -> list[str]:

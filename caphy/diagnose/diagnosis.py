@@ -38,7 +38,7 @@ from caphy.refit.study import Study
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A fitted number: value, interval of 95 % and unit; 1 is that of relative changes, of frictions and the like."""
+    """A fitted number: value, interval of 95 % and unit; "relative" of a change in proportion."""
 
     value: float
     low: float
@@ -250,7 +250,7 @@ def _concluded(
         by_base=by_base,
         outside=elsewhere,
         base=base,
-        noise_mm=max(study.floors_mm, default=None),
+        noise_mm=study.floor_mm,
         seconds=0.0,
         search=found,
         study=study,
@@ -402,7 +402,7 @@ def _ranking(found: Search, sure_of_parameters: bool, study: Study | None) -> li
             noticed = by_roll_outs(study, first, score, wald)
         else:
             noticed = by_tangents(first, score, wald)
-        units = {c.name: "relative" if c.entry is None else c.unit for c in score.group.columns}
+        units = {c.name: c.unit for c in score.group.columns}
         of = score.group
         ranking.append(Ranked(label, of.name, of.own, score.gain, needed, score.wald, linear, refitted, noticed, units))
     return ranking

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from caphy.diagnose.base import Base
 from caphy.diagnose.diagnosis import Coefficient, Diagnosis
 from caphy.diagnose.noticed import LISTED
@@ -114,8 +116,8 @@ def learned_of(base: Base) -> list[str]:
     if base.before is not None:
         without, whole = base.before.median_mm
         said.append(
-            f"The base measurements are taken to be of before {_listed(base.before.later)} came into the model, which "
-            f"lies {without:.2f} mm from them without, {whole:.2f} mm with: it stays as it is."
+            f"The base measurements are taken to be of before {_listed(base.before.later, 'and')} came into the model. "
+            f"It lies {without:.2f} mm from them without, {whole:.2f} mm with, and stays as it is."
         )
     if base.changed:
         moved = ", ".join(f"{name} {100 * by:+.3g} %{at_limit(by)}" for name, by in base.changed.items())
@@ -134,7 +136,7 @@ def _answer(diagnosis: Diagnosis) -> str:
         return f"The model lacks {also}: the best single explanation takes away {share:.0f} % of the misfit."
     if diagnosis.verdict == "parameters":
         told = dict.fromkeys(name.partition(".")[0] for name in diagnosis.base.changed) if diagnosis.base else {}
-        return f"No effect is missing: the parameters of {_listed(list(diagnosis.groups or told))} are off."
+        return f"No effect is missing: the parameters of {_listed(diagnosis.groups or told, 'and')} are off."
     if diagnosis.verdict == "none of these":
         gain = 100 * diagnosis.outside.gains[diagnosis.outside.best]
         found = diagnosis.outside.after
@@ -168,9 +170,7 @@ def _answer(diagnosis: Diagnosis) -> str:
 
 
 def _coefficient(name: str, c: Coefficient) -> str:
-    effect, parameter = name.split(".", 1)
-    declared = find_effect(effect).parameters[parameter.split("[")[0]]
-    if c.unit == "1" and declared.unit != "1":
+    if c.unit == "relative":
         return f"{name} changes by {100 * c.value:+z.0f} % (95 %: {100 * c.low:+z.0f} to {100 * c.high:+z.0f} %)."
     unit = "" if c.unit == "1" else f" {c.unit}"
     return f"{name} = {c.value:.3g}{unit} (95 %: {c.low:.3g} to {c.high:.3g})."
@@ -190,9 +190,9 @@ def _unit(unit: str) -> str:
     return "" if unit == "1" else " (relative change)" if unit == "relative" else f" {unit}"
 
 
-def _listed(names) -> str:
+def _listed(names: Iterable[str], word: str = "or") -> str:
     names = list(names)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 def table(diagnosis: Diagnosis) -> str:

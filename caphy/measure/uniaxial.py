@@ -10,6 +10,7 @@ import torch
 from caphy.effects.cloth import Cloth
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
+from caphy.effects.registry import find_effect
 from caphy.io.measurements import ForceCurve
 from caphy.measure.statistics import summary
 
@@ -153,7 +154,18 @@ def compare_curves(model: Model, curves: list[ForceCurve], name: str, source: st
     if left_out:
         listed = ", ".join(left_out)
         said.append(f"Left out of the model, because the strip's size decides what edges and places do: {listed}.")
+    if moving := [name for name in model.effects if _of_strain_rates(name)]:
+        said.append(
+            f"Left out of the model, because a loading is compared as if each strain were held: {', '.join(moving)} "
+            "(caphy diagnose and caphy refit count dry friction)."
+        )
     return {"name": name, "source": source, "sentences": said, "curves": rows}
+
+
+def _of_strain_rates(name: str) -> bool:
+    """Whether an effect acts in cloth that is being strained, and not in cloth that is held."""
+    effect = find_effect(name)
+    return effect.needs_step and effect.element == "face" and not effect.needs_body and effect.group == "damping"
 
 
 def curve_sentences(rows: list[dict]) -> list[str]:

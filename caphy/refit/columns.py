@@ -49,8 +49,8 @@ class Column:
 
     @property
     def unit(self) -> str:
-        """Of the number: the parameter's, or 1 for a relative change."""
-        return "1" if self.entry is None else self.declared.unit
+        """Of the number: the parameter's, or "relative" of a change in proportion."""
+        return "relative" if self.entry is None else self.declared.unit
 
     def value(self, model: Model) -> float:
         """The number in a model; 0 for a relative change and for an effect that is not there."""

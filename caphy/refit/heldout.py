@@ -172,10 +172,10 @@ class Apart:
         errors = [[1e3 * response.error for response in each] for each in (old, new)]
         medians = [np.array([np.nanmedian(window) for window in each]) for each in errors]
         pooled = [float(np.nanmedian(np.concatenate([window.ravel() for window in each]))) for each in errors]
-        floors = self.study.floors_mm
-        floor = float(np.median(floors)) if floors else None
         clouds = self.study.of_clouds
-        return HeldOut(pooled[0], pooled[1], floor, medians[0], medians[1], share, error, few, elsewhere, clouds)
+        return HeldOut(
+            pooled[0], pooled[1], self.study.floor_mm, medians[0], medians[1], share, error, few, elsewhere, clouds
+        )
 
     def falls(self, way: Way, origin: Model) -> np.ndarray:
         """By how much the misfit of each window (W,) falls on a way, by weights as they were at an ``origin``."""

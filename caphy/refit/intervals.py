@@ -59,8 +59,8 @@ def half_widths(known: Evidence, *doubts: np.ndarray | float, seed: int = 0) -> 
 
 
 def intervals(fit: Fit, learned: Learned | None, motions: int) -> dict[str, tuple[float, float, float, str]]:
-    """Fitted numbers by name: value, lower and upper end of the :data:`LEVEL` interval, unit; a relative change has the
-    unit 1.
+    """Fitted numbers by name: value, lower and upper end of the :data:`LEVEL` interval, unit; that of a change in
+    proportion is "relative".
 
     ``learned`` tells how far mesh and solver lead astray, ``motions`` how many the fit saw. The step that was left when
     the fit ended counts as an error too, on the side to which it points: effects of a few per cent of the misfit end a

@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi
 
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
@@ -90,14 +92,24 @@ class Study:
         return max(found)
 
     @property
-    def floors_mm(self) -> list[float]:
-        """Median distance from the truth by noise alone, in each scene where it is known [mm].
+    def floor_mm(self) -> float | None:
+        """Median distance from the truth by noise alone in all windows together [mm]; None where no noise is known.
 
         Of clouds it is an upper bound, that of single points: how many of them a registered vertex averages depends on
         cloth and model.
         """
         noise = [(measurement_noise(each.scene.measurement), each.scene.slides) for each in self.watched]
-        return [1e3 * (n.median_across if slides else n.median) for n, slides in noise if n is not None]
+        weighed = zip(noise, self.starts, strict=True)
+        known = [(1e3 * n.sigma, 1 if slides else 3, len(starts)) for (n, slides), starts in weighed if n is not None]
+        sigma, coordinates, windows = np.array(known).reshape(-1, 3).T
+        if not windows.sum():
+            return None
+
+        def beyond(distance: float) -> float:
+            within = chi.cdf(distance / np.maximum(sigma, 1e-9), coordinates)
+            return 0.5 - float(windows @ within) / float(windows.sum())
+
+        return float(brentq(beyond, 0.0, 4.0 * float(sigma.max()) + 1e-6))  # pyright: ignore[reportArgumentType]
 
     def respond(
         self,

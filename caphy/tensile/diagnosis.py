@@ -26,7 +26,7 @@ from caphy.tensile.unexplained import Dependence, dependence, drift, share_left
 
 MOSTLY = 0.3
 """Share of the misfit that may be left for an answer to be a name."""
-_RIVAL = 0.5  # share of the best gain from which another effect counts as a rival
+_RIVAL = 0.8  # share of the best gain from which another effect counts as a rival
 _FABRICS = 3  # needed to leave one out
 
 
@@ -293,12 +293,12 @@ def _rivals(ranking: Sequence[Ranked], used: Sequence[str]) -> list[str]:
     rivals = [name for name in gains if named and name not in used and gains[name] > _RIVAL * gains[named[0]]]
     if not rivals:
         return []
-    listed = ", ".join(f"{name} ({100 * gains[name]:.0f} %)" for name in rivals)
+    listed = " and ".join(f"{name} ({100 * gains[name]:.0f} %)" for name in rivals)
     loop = "; unloading, which is not read here, would show it, since friction opens a loop"
     friction = loop if "hysteresis" in (named[0], *rivals) else ""
     return [
-        f"From the second loading on {listed} explains the difference nearly as well as {named[0]} "
-        f"({100 * gains[named[0]]:.0f} %): these curves do not decide{friction}."
+        f"From the second loading on {listed} explain{'s' * (len(rivals) == 1)} the difference nearly as well as "
+        f"{named[0]} ({100 * gains[named[0]]:.0f} %): these curves do not decide{friction}."
     ]
 
 

@@ -72,7 +72,7 @@ class Bench:
             names = tuple(name for name in model.effects if name in self.acting)
             for test in self.tests:
                 if any(loading.used == bool(again) for loading in test.loadings):
-                    said = self.strips[test.direction].curve(_remembering(model, test.reached), names)
+                    said = self.strips[test.direction].curve(remembering(model, test.reached), names)
                     found[test.direction, bool(again)] = np.stack([said.force, said.transverse])
         return found
 
@@ -97,7 +97,7 @@ class Bench:
         return np.stack(columns, -1) if columns else np.zeros((*here.shape, 0))
 
 
-def _remembering(model: Model, reached: float) -> Model:
+def remembering(model: Model, reached: float) -> Model:
     """The model of cloth that had an energy per area [N/m] before."""
     for name in set(HISTORY) & set(model.effects):
         model = model.with_effect(name, **{HISTORY[name]: reached})

@@ -68,9 +68,9 @@ class Tests:
 
     @property
     def reached(self) -> float:
-        """Largest energy per area of the loadings [N/m]: the area under the curve."""
+        """Largest energy per area of the loadings [N/m], which is what cloth remembers: the area under the curve."""
         curves = [loading.curve for loading in self.loadings]
-        return float(np.median([max(np.trapezoid(c.force, c.axial), 1e-3) for c in curves]))
+        return float(max(1e-3, *(np.trapezoid(c.force, c.axial) for c in curves)))
 
     def picked(self, wanted: Callable[[ForceCurve], bool]) -> Tests:
         """Only the loadings whose curves are wanted."""
@@ -129,6 +129,7 @@ def _tests(fabric: str, direction: str, curves: Sequence[ForceCurve], share: flo
 
 def _binned(curve: ForceCurve, edges: np.ndarray, axial: np.ndarray) -> Loading:
     place = np.searchsorted(edges, curve.axial, side="right") - 1
+    place[curve.axial == edges[-1]] = BINS - 1  # as in numpy.histogram the last bin has both its edges
     inside = (place >= 0) & (place < BINS)
     values = np.stack([curve.axial, curve.force, curve.transverse])
     means, average = np.full((3, BINS), np.nan), np.zeros((BINS, len(axial)))

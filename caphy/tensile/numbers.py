@@ -67,11 +67,12 @@ class Number:
 
 
 def added(effect: str, used: bool = False) -> tuple[Number, ...]:
-    """The coefficients of an effect that is tried as an addition."""
+    """The coefficients of an effect that is tried as an addition, and the further numbers that it wants fitted; of what
+    used cloth adds to it the coefficients alone."""
     declared = find_effect(effect)
     return tuple(
         Number(effect, key, place, used=used)
-        for key in declared.coefficients
+        for key in (*declared.coefficients, *(() if used else declared.further))
         for place in np.ndindex(np.shape(declared.parameters[key].default))
     )
 

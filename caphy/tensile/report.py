@@ -13,7 +13,7 @@ from caphy.effects.model import Model
 from caphy.io.places import write_text
 from caphy.tensile.diagnosis import CurveDiagnosis
 from caphy.tensile.errors import STAGES
-from caphy.tensile.fit import Fit
+from caphy.tensile.fit import Fit, remembering
 from caphy.tensile.loadings import Loading, Tests
 from caphy.tensile.refit import CurveRefit
 
@@ -92,7 +92,8 @@ def write(
 ) -> list[Path]:
     """Write diagnosis.json (refit.json), its page, and the model of each fabric; returns the paths.
 
-    The models are of used cloth; where the first loading differs, ``FABRIC_first.json`` is of that. With ``since``,
+    The models are of used cloth, which remembers the largest energy of either direction; where the first loading
+    differs, ``FABRIC_first.json`` is of that. With ``since``,
     the model that was fitted, to tables called ``data``, their history says so.
     """
     from caphy import __version__
@@ -110,10 +111,15 @@ def write(
     }
     slugs = _slugs(diagnosis.models)
     for fabric, (first, used) in diagnosis.models.items():
-        texts[f"{slugs[fabric]}.json"] = _revised(used, since, f"fitted to tensile tests of {fabric}", data)
+        reached = max(test.reached for test in diagnosis.fits["as given"][fabric].bench.tests)
+        texts[f"{slugs[fabric]}.json"] = _revised(
+            remembering(used, reached), since, f"fitted to tensile tests of {fabric}", data
+        )
         if diagnosis.found_used:
             note = f"fitted to first loadings in tensile tests of {fabric}"
-            texts[f"{slugs[fabric]}_first.json"] = _revised(first, since, note, data)
+            texts[f"{slugs[fabric]}_first.json"] = _revised(remembering(first, reached), since, note, data)
+        else:  # of another answer
+            (folder / f"{slugs[fabric]}_first.json").unlink(missing_ok=True)
     for file, text in texts.items():
         write_text(folder / file, text)
     return [folder / file for file in texts]

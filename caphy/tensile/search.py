@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from caphy.effects.registry import find_effect
 from caphy.tensile.fit import Bench, Fit, fitted
 from caphy.tensile.null import DRAWS, drawn, outside
 from caphy.tensile.numbers import Number, added, changed
@@ -167,7 +168,20 @@ def _extended(near: Fit, bench: Bench, base: tuple[Number, ...], extra: tuple[Nu
     held = _replaced(bench.slopes(numbers, start).reshape(-1, len(numbers)), len(base))
     kept = [k for k in range(len(numbers)) if k not in held]
     model = changed(bench.model, [numbers[k] for k in held], start[held])
-    return fitted(replace(bench, model=model), [numbers[k] for k in kept], start[kept])
+    fits = (
+        fitted(replace(bench, model=model), [numbers[k] for k in kept], s[kept]) for s in _starts(extra, numbers, start)
+    )
+    return min(fits, key=lambda fit: fit.misfit)
+
+
+def _starts(extra: tuple[Number, ...], numbers: tuple[Number, ...], start: np.ndarray) -> list[np.ndarray]:
+    """Where to begin (K,): the start itself, and with each new number that its effect is not linear in at each place
+    where the effect looks for it."""
+    found = [start]
+    for number in extra:
+        for place in find_effect(number.effect).further.get(number.parameter, ()):
+            found.append(np.where([other == number for other in numbers], place, start))
+    return found
 
 
 def _replaced(slopes: np.ndarray, own: int) -> list[int]:

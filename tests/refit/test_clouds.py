@@ -142,5 +142,20 @@ def test_clouds_and_registered_measurements_are_not_mixed(film):
 def test_noise_explains_less_where_only_distances_across_count(film):
     positions, keys = film
     scene = Scene.of(Measurement(name="film", fps=30, vertices=positions, noise_mm=2.0, **keys))
-    assert Study([scene]).floors_mm == pytest.approx([2 * MEDIAN_NORM])
-    assert Study([replace(scene, ends=unknown(film))]).floors_mm == pytest.approx([2 * MEDIAN_ONE])
+    assert Study([scene]).floor_mm == pytest.approx(2 * MEDIAN_NORM, rel=1e-4)
+    assert Study([replace(scene, ends=unknown(film))]).floor_mm == pytest.approx(2 * MEDIAN_ONE, rel=1e-4)
+
+
+def test_the_noise_of_several_films_is_that_of_all_their_windows(film):
+    """As errors are pooled: the noisiest film's own would be more than is left of all."""
+    positions, keys = film
+    sizes = (1.0, 1.0, 4.0)
+    scenes = [
+        Scene.of(Measurement(name=f"film {k}", fps=30, vertices=positions, noise_mm=size, **keys))
+        for k, size in enumerate(sizes)
+    ]
+    random = np.random.default_rng(0)
+    pooled = np.concatenate([np.linalg.norm(size * random.normal(size=(200_000, 3)), axis=1) for size in sizes])
+    assert Study(scenes).floor_mm == pytest.approx(np.median(pooled), rel=5e-3)
+    noiseless = Scene.of(Measurement(name="clean", fps=30, vertices=positions, noise_mm=0.0, **keys))
+    assert Study([noiseless]).floor_mm == pytest.approx(0.0, abs=1e-6)

@@ -73,8 +73,8 @@ class Coarse(Study):
         ]
 
     @property
-    def floors_mm(self):
-        return []
+    def floor_mm(self):
+        return None
 
 
 def test_what_the_mesh_keeps_an_effect_from_doing_counts() -> None:

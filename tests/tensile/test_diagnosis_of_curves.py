@@ -11,7 +11,9 @@ import pytest
 from closed_form import Sheet, measured, softened
 
 from caphy.cli import main
+from caphy.effects import registry
 from caphy.effects.model import Model
+from caphy.effects.own import use_file
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve, read_force_curves
 from caphy.kept import Kept
@@ -410,7 +412,6 @@ class ThreadStiffening(Membrane):
 
 
 def test_an_effect_of_the_users_own_takes_part(tmp_path):
-    from caphy.effects import registry
     from caphy.tensile.candidates import candidates
 
     path = tmp_path / "thread_stiffening.py"
@@ -502,3 +503,63 @@ def test_a_refit_of_tables_asks_for_a_folder(tmp_path, capsys):
     assert main(["refit", "snug", str(table), "-o", str(tmp_path / "better.json")]) == 2
     assert "give a folder" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_used_cloth_remembers_its_first_loading():
+    """The largest energy is that of the first loading; the loadings after it are softer already."""
+    curves = measured(isotropic(), TOP, 0, scatter=0.0, law=softened(0.3))
+    for test in prepared(curves)[0]["cloth"]:
+        first = next(c for c in curves if c.direction == test.direction and c.loading == 1)
+        assert test.reached == pytest.approx(np.trapezoid(first.force, first.axial), rel=0.01)
+    answer = diagnose_curves(model(), measured(isotropic(), TOP, 0, scatter=0.01, law=softened(0.3)))
+    assert (answer.found, answer.found_used) == ((), ("softening",))
+    low, high = number(answer, "softening.share").interval
+    assert low <= 0.3 <= high
+
+
+def test_the_row_at_the_largest_strain_counts():
+    strain, ways = np.linspace(0, 0.3, 10), ("weft", "warp")
+    force = 100 * strain
+    force[-1] = 90.0
+    curves = [ForceCurve("cloth", way, k, strain, np.full(10, np.nan), force) for way in ways for k in (1, 2)]
+    (weft, _) = prepared(curves)[0]["cloth"]
+    assert weft.loadings[0].force[-1] == 90.0 and weft.loadings[0].strain[-1] == 0.3
+
+
+def test_a_comparison_says_that_it_leaves_out_what_needs_motion(tmp_path, capsys):
+    table = tmp_path / "strips.csv"
+    table.write_text(HEADER + "\n" + ROWS.format(1))
+    (tmp_path / "m.json").write_text(model().with_effect("hysteresis", friction=300.0).to_json())
+    assert main(["compare", str(tmp_path / "m.json"), str(table), "-o", str(tmp_path / "out")]) == 0
+    assert "as if each strain were held: hysteresis (caphy diagnose and caphy refit count" in capsys.readouterr().out
+
+
+def test_models_of_used_cloth_remember_and_those_of_an_earlier_answer_go(tmp_path):
+    used = diagnose_curves(model(), measured(isotropic(), TOP, 0, scatter=0.01, law=softened(0.3)))
+    assert tmp_path / "cloth_first.json" in write(used, tmp_path)
+    reached = max(test.reached for test in used.fits["as given"]["cloth"].bench.tests)
+    assert Model.load(tmp_path / "cloth.json").effects["softening"]["reach"] == pytest.approx(reached)
+    write(diagnose_curves(model(), measured(isotropic(), TOP)), tmp_path)
+    assert not (tmp_path / "cloth_first.json").exists()
+
+
+RATIO = OWN.replace("ThreadStiffening", "Threads").replace("thread_stiffening", "threads").replace(
+    '"warp": Parameter(100.0, "N/m", 0.0, 1e8, doc="along the warp"),',
+    '"ratio": Parameter(0.5, "1", 0.0, 100.0, linear=False, doc="warp over weft"),',
+).replace('    reference', '    further = {"ratio": (0.25, 1.0, 4.0)}\n    reference').replace(
+    '0.25 * (p["weft"] * uu**4 + p["warp"] * vv**4)', '0.5 * p["weft"] * (uu**2 + p["ratio"] * vv**2)'
+)  # fmt: skip
+
+
+def test_numbers_that_an_effect_wants_fitted_too_are_fitted_to_tables(tmp_path, monkeypatch):
+    """Threads of 20 N/m along the weft and three times as much along the warp."""
+    monkeypatch.setattr(registry, "_from_files", {})
+    path = tmp_path / "threads.py"
+    path.write_text(RATIO)
+    use_file(path)
+    sheet = Sheet(LAMBDA + 2 * MU + 20, LAMBDA + 2 * MU + 60, LAMBDA)
+    answer = refit_curves(model(), measured(sheet, TOP, scatter=0.01), add=["threads"])
+    assert answer.kept == ("threads",)
+    told = {c.name: c for c in answer.outcome.coefficients}
+    added = told["threads.weft"].value
+    assert told["threads.ratio"].value * added - added == pytest.approx(40, rel=0.1)  # mu may take what both share
