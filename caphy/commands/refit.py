@@ -130,17 +130,7 @@ def _write(
     learned: Base | None,
 ) -> None:
     """Write the model and its page, on which a measurement is shown before and after."""
-    held, since = found.held_out, model
-    if learned is not None and learned.changed:  # the errors before are of that model
-        since = learned.model.revised(model, "base: parameters were off", data=[path.stem for path in command.base])
-    new = found.model.revised(
-        since,
-        f"refit{' with ' + ', '.join(found.kept) if found.kept else ' of its parameters'}",
-        data=[path.stem for path in command.measurements],
-        error_before=held.before_mm / 1e3,
-        error_after=held.after_mm / 1e3,
-        floor=None if held.floor_mm is None else held.floor_mm / 1e3,
-    )
+    new = _with_history(command, model, found, learned)
     page = command.output.with_suffix(".html")
     name = Path(command.model).stem
     write_text(page, before_and_after(name, model, new, (proof or measured)[:1], crew, garment, body, found.notes))
@@ -149,6 +139,21 @@ def _write(
     files = ("--effect-file", *command.effect_file) if command.effect_file else ()
     train = following("train", "--init", "AVATAR", "--model", command.output, *files)
     print(f"next: {train} ...   (the network learns it)")
+
+
+def _with_history(command: RefitCommand, model: Model, found: Refit, learned: Base | None) -> Model:
+    """The new model, and what base measurements and the refit changed, each as a revision of its own."""
+    held, since = found.held_out, model
+    if learned is not None and learned.changed:  # the errors before are of that model
+        since = learned.model.revised(model, "base: parameters were off", data=[path.stem for path in command.base])
+    return found.model.revised(
+        since,
+        f"refit{' with ' + ', '.join(found.kept) if found.kept else ' of its parameters'}",
+        data=[path.stem for path in command.measurements],
+        error_before=held.before_mm / 1e3,
+        error_after=held.after_mm / 1e3,
+        floor=None if held.floor_mm is None else held.floor_mm / 1e3,
+    )
 
 
 def table(found: Refit) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from caphy.commands.refit import RefitCommand, _with_history, table
 from caphy.diagnose import base, diagnosis, figures, proof, search
 from caphy.diagnose.diagnosis import Coefficient, unconverged, unproven
 from caphy.diagnose.groups import Group
@@ -20,6 +22,7 @@ from caphy.refit.columns import Column, addition, extended, further, moved
 from caphy.refit.evidence import Evidence, Weighing
 from caphy.refit.fit import Fit
 from caphy.refit.heldout import HeldOut
+from caphy.refit.refit import Refit
 
 DRAG, PRESSURE = Group("mass_damping", addition("mass_damping")), Group("pressure", addition("pressure"))
 MODEL = Model(0.2, {"inertia": {}, "gravity": {}, "strain_stvk": {}})
@@ -432,3 +435,52 @@ def test_frames_in_which_the_solver_did_not_converge_are_told():
     (note,) = unconverged(windows)
     assert "did not converge in 2 of the windows' 16 frames" in note
     assert unconverged(windows[:1]) == []
+
+
+def test_a_change_in_proportion_is_told_as_one_whatever_the_unit():
+    """A coefficient of friction has the unit 1 itself."""
+    assert Column("body_friction", "coefficient", None).unit == "relative"
+    change = Coefficient(1.08, 0.988, 1.17, "relative")
+    said = figures._coefficient("body_friction.coefficient", change)
+    assert said == "body_friction.coefficient changes by +108 % (95 %: +99 to +117 %)."
+    said = figures._coefficient("body_friction.coefficient", Coefficient(0.3, 0.2, 0.4, "1"))
+    assert said == "body_friction.coefficient = 0.3 (95 %: 0.2 to 0.4)."
+    held = HeldOut(3.0, 2.0, None, np.ones(4), np.ones(4), 0.5, 0.1)
+    numbers = {"body_friction.coefficient": (1.08, 0.988, 1.17, "relative"), "body_friction.slip": (0.3, 0.2, 0.4, "1")}
+    first, second, *_ = table(Refit(MODEL, (), (), numbers, held, "", 0.5)).splitlines()[1:]
+    assert first.split() == [
+        "body_friction.coefficient",
+        "+108",
+        "%",
+        "+98.8",
+        "to",
+        "+117",
+        "%",
+        "of",
+        "what",
+        "it",
+        "was",
+    ]
+    assert second.split() == ["body_friction.slip", "0.3", "0.2", "to", "0.4"]
+
+
+def test_what_base_measurements_moved_is_a_revision_of_its_own():
+    softer = MODEL.with_effect("strain_stvk", lame_mu=7.0)
+    learned = base.Base(softer, (), {}, *[None] * 3, 0.0, 0.3, {"strain_stvk.lame_mu": -0.3}, {}, 0.0, 0.0, 2.0)
+    found = Refit(
+        softer.with_effect("mass_damping", rate=3.0), ("mass_damping",), (), {},
+        HeldOut(6.7, 2.1, None, np.ones(4), np.ones(4), 0.5, 0.1), "", 0.5,
+    )  # fmt: skip
+    command = RefitCommand("m.json", (Path("a/drag1.npz"),), Path("better.json"), base=(Path("b/plain.npz"),))
+    first, second = _with_history(command, MODEL, found, learned).history
+    assert (first.data, first.added, first.error_before) == (("plain",), (), None)
+    assert (second.data, second.added, second.error_before) == (("drag1",), ("mass_damping",), 6.7e-3)
+    (only,) = _with_history(command, MODEL, found, None).history
+    assert only.added == ("mass_damping",) and "strain_stvk.lame_mu" in only.parameters
+
+
+def test_of_several_parameters_all_are_off():
+    """Not one or the other."""
+    found = base.Earlier(MODEL, ("air_drag_normal", "shrinkage"), (1.0, 2.0))
+    learned = base.Base(MODEL, (), {}, *[None] * 3, 0.0, 0.3, {}, {}, 0.0, 0.0, 2.0, before=found)
+    assert "before air_drag_normal and shrinkage came into the model" in figures.learned_of(learned)[0]
