@@ -34,8 +34,8 @@ class Export:
     """Folders that 'caphy train' wrote, one per garment, innermost garment first; or one avatar bundle ("default" is
     the one that comes along)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The bundle to write, a folder; with --format, a file ending in .glb, .usdc or .usda, or a folder for pc2 or
-    obj."""
+    """The bundle to write, a folder that is replaced whole if it holds one; with --format, a file ending in .glb,
+    .usdc or .usda, or a folder for pc2 or obj."""
     format: Literal["bundle", "glb", "usd", "pc2", "obj"] = "bundle"
     """What to write. glb without --poses is the avatar itself, with the networks' blend shapes as morph targets."""
     poses: Path | None = None

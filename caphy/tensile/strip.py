@@ -73,7 +73,7 @@ class Strip:
         """Forces of one effect; ``slope`` (N,): transverse over axial stretch along the path, for friction."""
         effect, values = find_effect(name), model.effects[name]
         linear = [effect.parameters[key].linear for key in effect.coefficients]
-        if effect.borrows or not linear or not all(linear):
+        if effect.borrows or lending(effect, model.effects) or not linear or not all(linear):
             return self._cached(model, name, slope)
         total = np.zeros(self._shape)
         off = {key: np.zeros_like(values[key]) for key in effect.coefficients}
