@@ -165,15 +165,19 @@ def clean_mesh(
             f"(first: face {int(np.argmax(corners > 3))}); pass --triangulate to split them"
         )
     cut = triangles(raw.vertices, polygons)
-    if uncut := [i for i, each in enumerate(cut) if not each]:
-        raise CaphyError(
-            f"{raw.path}: face {uncut[0]} with {len(polygons[uncut[0]])} corners cannot be cut into triangles "
-            f"({len(uncut)} such faces); it has no area or crosses itself: triangulate it in a mesh editor"
-        )
+    uncut = [i for i, each in enumerate(cut) if not each]
+    for i in uncut:  # to see which piece it is of
+        cut[i] = [(0, k, k + 1) for k in range(1, len(polygons[i]) - 1)]
     faces = _cornered(polygons, cut)
     panel = None if panels is None else raw.uv[_cornered(panels, cut)] * scale
     vertices = upright(raw.vertices, up or "y") * scale
     chosen = _choose(raw, vertices, faces, component)
+    worn = set(np.repeat(np.arange(len(polygons)), [len(each) for each in cut])[chosen].tolist())
+    if uncut := [i for i in uncut if i in worn]:
+        raise CaphyError(
+            f"{raw.path}: face {uncut[0]} with {len(polygons[uncut[0]])} corners cannot be cut into triangles "
+            f"({len(uncut)} such faces); it has no area or crosses itself: triangulate it in a mesh editor"
+        )
     used, flat = np.unique(faces[chosen], return_inverse=True)
     vertices, faces = vertices[used], flat.reshape(-1, 3).astype(np.int32)
     _check_size(raw, vertices, scale)

@@ -56,6 +56,9 @@ def test_a_polygon_that_crosses_itself_is_named(tmp_path: Path):
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 2 0\nv 1 2 0\nf 3 1 2 4\nf 3 4 5 6\n")
     with pytest.raises(CaphyError, match=r"face 1 with 4 corners cannot be cut into triangles \(1 such faces\)"):
         clean_mesh(read_mesh(path), triangulate=True)
+    sheet = "".join(f"v {x} {y} 3\n" for y in (0, 1) for x in (0, 1)) + "f 7 8 10\nf 7 10 9\n"
+    path.write_text(path.read_text() + sheet)
+    assert len(clean_mesh(read_mesh(path), triangulate=True, component="1").faces) == 2  # another piece than the bow's
 
 
 def test_lines_of_an_obj_may_be_continued(tmp_path: Path):
