@@ -39,6 +39,14 @@ def find_avatar(request: HTTPConnection, identifier: str) -> Avatar:
     return avatars[identifier]
 
 
+def require_known(request: Request, *names: str) -> None:
+    """Raise Problem for a parameter that is none: ``?garments=`` would be answered as if nothing had been asked."""
+    for name in request.query_params:
+        if name not in names:
+            there = f"there is {', '.join(names)}" if names else "there are none"
+            raise Problem(422, f"{name[:40]!r} is no parameter here; {there}")
+
+
 def add_avatars(app: FastAPI) -> None:
     """Mount the routes."""
 
@@ -75,6 +83,7 @@ def add_avatars(app: FastAPI) -> None:
     ) -> Response:
         """Body and garments in T-pose: vertices, faces and regions as JSON, or a GLB with a skin."""
         settings: Settings = request.app.state.settings
+        require_known(request, "format", "morph")
         found = find_avatar(request, avatar)
         if format == "glb":
             content = found.once("morph", mesh.morph_glb) if morph else found.once("glb", mesh.mesh_glb)

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from caphy.conditioning import Body, Conditioner, Conditioning, Did, Frame, condition
+from caphy.conditioning import Body, Conditioner, Conditioning, Did, Frame, condition_upright
 from caphy.conditioning.conditioner import CLOSE, LATEST, LONGEST
 from caphy.conditioning.seen import ROUNDING
 from caphy.conventions import JOINT_COUNT, JOINT_NAMES
@@ -50,7 +50,9 @@ def parse_settings(text: str, fps: float) -> Conditioning | None:
         given = {} if text == "on" else json.loads(text)
         if isinstance(given, dict) and "fps" in given:
             raise CaphyError(f"conditioning: fps is the avatar's, {fps:g}; leave it out")
-        return Conditioning.of({**given, "fps": fps} if isinstance(given, dict) else given)
+        if not isinstance(given, dict):
+            raise ValueError("no table")
+        return Conditioning.of({**given, "fps": fps})
     except (ValueError, RecursionError) as error:
         raise Problem(422, f"condition: must be on, off, or settings in JSON, got {text[:60]!r}") from error
     except CaphyError as error:
@@ -105,7 +107,7 @@ def conditioned(request: FramesRequest, settings: Conditioning, body: Body) -> C
     """The request's poses, conditioned; raises Problem where nobody is in them."""
     conditioner = Conditioner(settings, body)
     times = np.arange(len(request.poses)) / request.fps if request.times is None else request.times
-    frames = condition(conditioner, times, request.poses, request.transl, request.confidence)
+    frames = condition_upright(conditioner, times, request.poses, request.transl, request.confidence)
     if not frames:
         raise Problem(422, f"nobody was seen in any of {len(times)} poses, so there is nothing to dress")
     report = {

@@ -112,10 +112,11 @@ def require_valid(request: FramesRequest, settings: Settings, fps: float, engine
             if request.fps == fps or request.times is not None
             else f"resample it to {fps:g} fps, and if that is still too long "
         )
+        given = f"at {request.fps:g} fps" if request.times is None else "with times"
         raise Problem(
             413,
-            f"at most {settings.max_frames} frames are sent or answered at once, got {frames} at {request.fps:g} fps, "
-            f"which are {answered} at {fps:g}; {first}send the motion in parts and "
+            f"at most {settings.max_frames} frames are sent or answered at once, got {frames} {given}, "
+            f"which are {answered} at {fps:g} fps; {first}send the motion in parts and "
             "pass each answer's state on, or, where it is conditioned, use the stream",
         )
     require_states(request.state, engines)

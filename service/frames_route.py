@@ -10,7 +10,7 @@ from fastapi import FastAPI, Query, Request, Response
 
 from service import frames, protocol
 from service.answers import PartsResponse
-from service.avatar_routes import AvatarId, find_avatar
+from service.avatar_routes import AvatarId, find_avatar, require_known
 from service.conditioned import OFF, body_of, conditioned, header, parse_settings, require_conditionable
 from service.encodings import EncodingName
 from service.engine import GarmentEngine
@@ -72,7 +72,7 @@ async def post_frames(
     settings: Settings = request.app.state.settings
     metrics: Metrics = request.app.state.metrics
     hold = hold_of(request)
-    _require_known(request)
+    require_known(request, *PARAMETERS)
     found = find_avatar(request, avatar)
     engines = found.select(garment)
     sent = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -115,13 +115,6 @@ async def post_frames(
     return await hold.run(work)
 
 
-def _require_known(request: Request) -> None:
-    """Raise Problem for a parameter that is none: ``?garments=`` would be answered as if nothing had been asked."""
-    for name in request.query_params:
-        if name not in PARAMETERS:
-            raise Problem(422, f"{name[:40]!r} is no parameter here; there is {', '.join(PARAMETERS)}")
-
-
 def _answer_type(accept: str, sent: str) -> str:
     """Of what a client accepts what it likes best (RFC 9110, 12.5.1), of those alike what is like the request."""
     liked: dict[str, float] = {}
@@ -148,7 +141,7 @@ def require_few_frames(count: int, settings: Settings) -> None:
     if count > settings.max_json_frames:
         raise Problem(
             413,
-            f"at most {settings.max_json_frames} frames are answered as JSON, got {count}; "
+            f"at most {settings.max_json_frames} frames are answered as JSON, and these poses make {count}; "
             "ask for a binary answer (octet-stream), or send fewer",
         )
 

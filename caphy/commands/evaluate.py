@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -66,12 +66,24 @@ def main(arguments: list[str]) -> None:
     show = _Pictured(command.output / PICTURES, command.pictures, look)
     with Progress() as progress:
         found = evaluate(command.output, scans, rows, look, classes, progress, show)
+    _forget(command.output, show.written)
     document = found.document() | {"pictures": show.written}
     lines = table_lines(document)
     write_text(command.output / REPORT, json.dumps(document, indent=1, allow_nan=False))
     write_text(command.output / "evaluation.txt", "\n".join(lines) + "\n")
     print("\n".join(lines))
     print(command.output / REPORT)
+
+
+def _forget(run: Path, kept: Sequence[str]) -> None:
+    """Remove the pictures that an earlier evaluation of the run wrote, but for those ``kept``."""
+    try:
+        earlier = json.loads((run / REPORT).read_text())["pictures"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    for name in set(map(str, earlier)) - set(kept):
+        if Path(name).parent == Path(PICTURES):
+            (run / name).unlink(missing_ok=True)
 
 
 def _rows(command: Evaluate) -> list[Row]:

@@ -107,6 +107,7 @@ def _check(options: Fit) -> None:
     missing = [path for path in (*options.poses, *([options.vgg] if options.vgg else [])) if not path.exists()]
     if missing:
         raise CaphyError(f"{missing[0]}: there is no such file or folder")
+    _check_files(options)
     for path in options.poses:
         places = options.output.resolve(), Path(os.path.abspath(options.output))  # it may be a link in there
         if any(place.is_relative_to(folder) for place in places for folder in (path.resolve(), path.absolute())):
@@ -121,3 +122,22 @@ def _check(options: Fit) -> None:
             f"{options.scans}: lies where the run puts scans of its own, in metres and y up; give another folder "
             f"with -o, such as {options.output / 'run'}"
         )
+
+
+def _check_files(options: Fit) -> None:
+    """Raise CaphyError where a body, a parser or weights are none, which stages would find after hours."""
+    from caphy.commands.body import load_body
+    from caphy.evaluate.perceptual import Vgg16
+    from caphy.scan.label_layouts import find_layout
+
+    load_body(options.body)
+    own = options.parser not in (None, "colour", "labels")
+    if own and not Path(options.parser or "").is_file():
+        raise CaphyError(
+            f"--parser must be colour, labels, or the file of an ONNX human parser, got {options.parser!r}"
+        )
+    find_layout(options.layout)
+    if not own and options.layout != Fit.layout:
+        raise CaphyError("--layout says what the classes of an ONNX parser are; give that with --parser")
+    if options.vgg is not None:
+        Vgg16(options.vgg)

@@ -12,6 +12,7 @@ import tyro
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder
 from caphy.io.poses import PoseSequence, read_poses, write_poses
+from caphy.io.poses.sequence import require_rate
 
 LARGEST = 1e8
 """Pixels of a contact sheet: a PNG of some 100 MB, drawn in minutes."""
@@ -167,6 +168,7 @@ def _targets(command: Convert | Condition) -> list[tuple[Path, Path]]:
 def _condition(command: Condition) -> None:
     from caphy.conditioning import Conditioner, Conditioning, condition_sequence
 
+    require_rate(command.rate, "--rate", "give the rate to write")
     for path, target in _targets(command):
         sequence = command.source.read(path)
         settings = Conditioning(

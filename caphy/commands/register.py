@@ -92,7 +92,7 @@ class Points:
     body: str = "medium"
     """The body that the fit was made with."""
     seed: int = 0
-    """Decides which scans are held out."""
+    """Decides which scans are held out, where there is no split yet."""
 
 
 def main(arguments: list[str]) -> None:
@@ -202,6 +202,7 @@ def _garments(command: Garments) -> None:
     from caphy.effects.presets import fabric_model
     from caphy.evaluate.learnt_from import TEMPLATES
     from caphy.io.places import write_text
+    from caphy.register.linear_style import LinearStyle
     from caphy.register.result import read_fit
     from caphy.register.styles import KINDS
     from caphy.scan.scan_set import ScanSet
@@ -212,6 +213,11 @@ def _garments(command: Garments) -> None:
     if unknown:
         raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
     found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
+    for kind, basis in (("upper", command.upper_basis), ("lower", command.lower_basis)):
+        if basis is not None and kind not in command.kinds:
+            raise CaphyError(f"--{kind}-basis {basis}: --kinds leaves the {kind} garment out; give one or the other")
+        if basis is not None:
+            LinearStyle.load(basis)  # raises where it is none, before hours of the other garment
     shown, record = _shown(command.output, fit.names), command.output / TEMPLATES
     with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
         for kind in sorted(command.kinds):  # what is worn beneath comes first
@@ -277,6 +283,16 @@ def _garment(
     return told
 
 
+def leaves_room(path: Path) -> bool:
+    """Whether a garment keeps a further distance from the body, as far as can be told; those of linear bases do not."""
+    from caphy.garment.template import Garment
+
+    try:
+        return bool(Garment.load(path).layer_thickness.any())
+    except CaphyError:
+        return True
+
+
 def _tell_of_layers(command: Garments, kind: str, clouds: Sequence[Cloud]) -> None:
     """Say where one garment will find no room beneath or above another that the scans show."""
     from caphy.scan.scan import LOWER
@@ -287,7 +303,7 @@ def _tell_of_layers(command: Garments, kind: str, clouds: Sequence[Cloud]) -> No
             f"note: the scans show a lower garment, for which {command.output / 'upper.npz'} leaves no room, since it "
             "is not chosen yet; choose it first, or both together"
         )
-    elif kind == "lower" and other.is_file() and "upper" not in command.kinds:
+    elif kind == "lower" and other.is_file() and "upper" not in command.kinds and leaves_room(other):
         print(f"note: {other} was chosen before, and leaves room for another garment, if any; choose it anew")
 
 
@@ -412,7 +428,7 @@ def _hung(
 
 
 def _points(command: Points) -> None:
-    from caphy.register.points import read_split, write_points
+    from caphy.register.points import SPLIT, read_split, write_points
     from caphy.register.result import read_fit
     from caphy.register.subject import write_subject_body
     from caphy.scan.scan_set import ScanSet
@@ -421,9 +437,12 @@ def _points(command: Points) -> None:
     fit = read_fit(command.output / "body.npz", load_body(command.body))
     scans = ScanSet.read(command.scans, command.labels)
     path = write_subject_body(fit, command.output)
+    before = (command.output / SPLIT).stat().st_mtime_ns if (command.output / SPLIT).is_file() else None
     with Progress() as progress:
         failures = write_points(fit, scans, command.output, command.seed, progress)
     for message in failures.values():
         print(f"left out: {message}")
     sides = read_split(command.output)
+    if (command.output / SPLIT).stat().st_mtime_ns == before:
+        print(f"note: {command.output / SPLIT} is kept; remove it to draw another by --seed")
     print(f"{path}; points of {len(sides['train'])} scans to train on, {len(sides['held_out'])} held out")

@@ -2,7 +2,7 @@
 
 from caphy.conditioning.body import Body
 from caphy.conditioning.conditioner import Conditioner
-from caphy.conditioning.files import as_seen, condition, condition_sequence
+from caphy.conditioning.files import as_seen, condition, condition_sequence, condition_upright
 from caphy.conditioning.frame import Did, Frame, Summary
 from caphy.conditioning.settings import Conditioning
 
@@ -16,4 +16,5 @@ __all__ = [
     "as_seen",
     "condition",
     "condition_sequence",
+    "condition_upright",
 ]

@@ -121,6 +121,10 @@ class Conditioner:
         self._ground = Ground(self.body, self.settings)
         self._jumped = False
 
+    def know_world(self, other: Conditioner) -> None:
+        """Begin with what another knows of up in the camera's axes, which looked at the same motion."""
+        self._upright.begin_with(other._upright)
+
     def world(self) -> dict[str, Any]:
         """Where up, floor and scale were found so far, JSON-ready, with the uncertainty of up."""
         upright = self._upright.as_json() if self.settings.frame == "camera" else {}

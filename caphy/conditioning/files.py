@@ -8,6 +8,7 @@ import numpy as np
 
 from caphy.conditioning.conditioner import BRIDGE, Conditioner
 from caphy.conditioning.frame import Frame
+from caphy.conditioning.world import MEMORY
 from caphy.errors import CaphyError
 from caphy.io.poses.camera import OPENCV_TO_Y_UP
 from caphy.io.poses.sequence import PoseSequence
@@ -32,6 +33,25 @@ def condition(
     return frames + conditioner.flush()
 
 
+def condition_upright(
+    conditioner: Conditioner,
+    times: np.ndarray,
+    poses: np.ndarray,
+    transl: np.ndarray,
+    confidence: np.ndarray | None = None,
+) -> list[Frame]:
+    """:func:`condition` of a motion that is whole: what its first :data:`~caphy.conditioning.world.MEMORY` seconds tell
+    of up in a camera's axes holds from its beginning, where a stream begins with a level camera and turns the world as
+    it learns."""
+    settings = conditioner.settings
+    if settings.frame == "camera" and settings.up is None and len(times):
+        few = np.asarray(times) <= np.asarray(times)[0] + MEMORY
+        looking = Conditioner(settings, conditioner.body)
+        condition(looking, times[few], poses[few], transl[few], None if confidence is None else confidence[few])
+        conditioner.know_world(looking)
+    return condition(conditioner, times, poses, transl, confidence)
+
+
 def as_seen(sequence: PoseSequence) -> PoseSequence:
     """The motion in the axes that conditioning takes: y up, or of ``frame`` "camera" the camera's own.
 
@@ -54,7 +74,7 @@ def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> Pose
     if len(seen) > 1 and seen.fps * BRIDGE <= 1 + 1e-9:  # a stream could not know what comes after; a file does
         notes = (*notes, f"conditioning: {seen.fps:g} poses a second are few; between them joints turn evenly")
         seen = seen.resample(conditioner.settings.fps)
-    frames = condition(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, seen.transl)
+    frames = condition_upright(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, seen.transl)
     if not frames:
         raise CaphyError(f"{sequence.source}: nobody was seen in it, so there is no motion")
     told = tuple(dict.fromkeys(note for frame in frames for note in frame.notes))

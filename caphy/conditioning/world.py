@@ -37,6 +37,11 @@ class Upright:
         self._sum = np.zeros(3)
         self._seconds = 0.0
         self._told: np.ndarray | None = None
+        self._looked = self._known = 0.0  # seconds, of them those that are in the mean from elsewhere
+
+    def begin_with(self, other: Upright) -> None:
+        """Know what ``other`` learnt of the same motion from its beginning on, which is not looked at again."""
+        self._sum, self._seconds, self._known = other._sum, other._seconds, other._looked
 
     def tell(self, up: np.ndarray) -> None:
         """Up is ``up`` (3,) in the camera's axes, whatever the body does. Raises CaphyError for no direction."""
@@ -47,7 +52,8 @@ class Upright:
 
     def look(self, turns: np.ndarray, seconds: float) -> None:
         """Take in a pose (55, 4) in the camera's axes turned level, which was seen for ``seconds``."""
-        if self._told is not None:
+        self._looked += seconds
+        if self._told is not None or self._looked <= self._known:
             return
         kept = np.exp(-seconds / MEMORY)
         back = aligning(self.level_up, Y_UP)  # so that the lower foot is known

@@ -48,10 +48,10 @@ def read_classes(path: Path, names: Sequence[str]) -> dict[str, str]:
             raise ValueError("it is no object")
     except (OSError, ValueError) as error:
         raise CaphyError(f'{path}: must be a JSON object such as {{"scan_001": "running"}}: {error}') from error
-    missing = [name for name in names if name not in given]
+    missing = [name for name in names if not isinstance(given.get(name), str)]
     if missing:
         raise CaphyError(f"{path}: names no class for {', '.join(missing[:5])}; every held-out scan needs one")
-    return {name: str(given[name]) for name in names}
+    return {name: given[name] for name in names}
 
 
 def unlike_split(names: Sequence[str], poses: np.ndarray) -> dict[str, list[str]]:

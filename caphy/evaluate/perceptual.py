@@ -98,7 +98,10 @@ def _read_weights(path: Path) -> dict[str, Tensor]:
     except FileNotFoundError:
         raise CaphyError(f"{path}: there is no such file; give VGG-16 weights, vgg16-*.pth or safetensors") from None
     except Exception as error:
-        raise CaphyError(f"{path}: holds no weights that can be read: {error}") from error
+        raise CaphyError(
+            f"{path}: holds no weights that can be read ({type(error).__name__}); give torchvision's vgg16 as torch or "
+            "safetensors write it"
+        ) from error
 
 
 def _fill(layer: nn.Conv2d, arrays: dict[str, Tensor], key: str, path: Path) -> None:

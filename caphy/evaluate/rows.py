@@ -87,6 +87,8 @@ def given_row(text: str) -> Row:
     name, _, folder = text.partition("=")
     if not name or not folder:
         raise CaphyError(f"a row must be given as NAME=FOLDER, got {text!r}")
+    if name == TEMPLATE:
+        raise CaphyError(f"{text!r}: the row {TEMPLATE!r} is that of clothes without a network; give another name")
     seeds = seed_folders(Path(folder))
     if not seeds:
         raise CaphyError(

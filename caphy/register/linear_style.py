@@ -149,11 +149,11 @@ def choose_linear(
 
 
 def linear_garment(style: LinearStyle, choice: LinearChoice, figure: Figure, kind: str) -> Garment:
-    """The chosen style as a garment on the fitted body."""
+    """The chosen style as a garment on the fitted body, named by its kind: a file's name need not be a garment's."""
     mesh = UserMesh(style.vertices(choice.coefficients), style.faces, None)
     told = {"coefficients": " ".join(f"{value:.4f}" for value in choice.coefficients), "basis": style.name}
     marks = Landmarks.of(dressed_body(figure))
-    return garment_from_mesh(mesh, style.name, marks, waistband=kind == "lower", provenance=told)
+    return garment_from_mesh(mesh, kind, marks, waistband=kind == "lower", provenance=told)
 
 
 def _distance(style: LinearStyle, weights: np.ndarray, targets: Sequence[Target], coefficients: np.ndarray) -> float:

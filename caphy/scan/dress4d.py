@@ -71,8 +71,10 @@ def _scan(take: Path, path: Path) -> Scan:
     label = take / "Semantic" / "labels" / f"label-f{_frame(path)}.pkl"
     labels = None
     if label.is_file():
-        numbers = _array(_mapping(label, "scan_labels"), "scan_labels", label).astype(np.int64).ravel()
-        labels = translated(numbers, LABELS, label)
+        numbers = _array(_mapping(label, "scan_labels"), "scan_labels", label).ravel()
+        if not (numbers == np.round(numbers)).all():
+            raise CaphyError(f"{label}: labels must be whole numbers, got {numbers[numbers != np.round(numbers)][0]:g}")
+        labels = translated(numbers.astype(np.int64), LABELS, label)
     return Scan(
         name=f"f{_frame(path)}",
         vertices=vertices.astype(np.float64),
@@ -89,11 +91,18 @@ def _colours(mesh: Mapping[str, Any], path: Path, count: int) -> np.ndarray | No
         texture, uvs = np.asarray(read_pickle(atlas)), _array(mesh, "uvs", path)
         if texture.ndim != 3 or texture.shape[2] < 3 or uvs.shape != (count, 2):
             raise CaphyError(f"{atlas}: must be an image for {count} uvs, got {texture.shape} and uvs {uvs.shape}")
+        if not np.isfinite(uvs).all():
+            raise CaphyError(
+                f"{path}: uvs must be finite, that of vertex {np.argwhere(~np.isfinite(uvs))[0, 0]} is not"
+            )
         size = np.array(texture.shape[1::-1])
         column, row = (np.clip(uvs, 0, 1) * (size - 1)).round().astype(int).T
         return texture[size[1] - 1 - row, column, :3].astype(np.uint8)
     if "colors" in mesh:
-        colours = _array(mesh, "colors", path)[:, :3]
+        colours = _array(mesh, "colors", path)
+        if colours.ndim != 2 or colours.shape[1] < 3 or len(colours) != count or not np.isfinite(colours).all():
+            raise CaphyError(f"{path}: colors must be finite, of shape ({count}, 3 or 4), got {colours.shape}")
+        colours = colours[:, :3]
         return (colours if colours.max(initial=0) > 1 else 255 * colours).round().astype(np.uint8)
     return None
 
@@ -111,14 +120,18 @@ def _motion(take: Path, path: Path) -> Motion | None:
         values = np.asarray(given[name], dtype=np.float64).ravel() if name in given else np.zeros(0)
         if len(values) == 3 * (stop - start):  # hands as principal components need the licensed model: left flat
             pose[start:stop] = values.reshape(-1, 3)
-    betas = np.asarray(given.get("betas", np.zeros(10)), dtype=np.float64).ravel()[:10]
-    return pose, _array(given, "transl", smplx).astype(np.float64).reshape(3), betas
+    transl, betas = _array(given, "transl", smplx), np.zeros(10)
+    if transl.size != 3:
+        raise CaphyError(f"{smplx}: transl must be three numbers, got shape {transl.shape}")
+    own = np.asarray(given.get("betas", betas), dtype=np.float64).ravel()[:10]
+    betas[: len(own)] = own
+    return pose, transl.astype(np.float64).reshape(3), betas
 
 
 def _poses(take: Path, frames: Sequence[Motion | None]) -> PoseSequence | None:
     known = [frame for frame in frames if frame is not None]
     if len(known) < len(frames):
-        return None
+        return None  # poses of some scans alone are none of a set
     poses, transl, betas = (np.stack(values) for values in zip(*known, strict=True))
     return PoseSequence(poses, transl, fps=30.0, source=str(take), betas=betas.mean(axis=0))
 

@@ -14,7 +14,7 @@ from caphy.io.poses import PoseSequence, placed_on
 from caphy.io.procedural import procedural_motion
 from service import protocol
 from service.answers import PartsResponse
-from service.avatar_routes import LIMITS, NOT_FOUND, AvatarId, find_avatar
+from service.avatar_routes import LIMITS, NOT_FOUND, AvatarId, find_avatar, require_known
 from service.guard import Entered, Hold, hold_of
 from service.settings import Settings
 from service.viewer.pose_files import frames_request, read_upload
@@ -75,6 +75,7 @@ def add_viewer(app: FastAPI) -> None:
     @app.get("/avatars/{avatar}/poses", responses={**POSES, **NOT_FOUND, **LIMITS}, response_class=Response)
     def made_up(request: Request, hold: Entered, avatar: AvatarId) -> Response:
         """A made-up motion of 20 s for a first look, at the avatar's frame rate: the body of a frames request."""
+        require_known(request)
         bundle = find_avatar(request, avatar).bundle
         sole = float(bundle.body.vertices[:, 1].min())
         return _answer(request, hold, placed_on(_made_up(bundle.fps), bundle.joints, sole))
@@ -94,6 +95,7 @@ async def post_poses(
     fps: Annotated[float | None, Query(ge=1, le=1000, description="true frame rate, where the file has none")] = None,
 ) -> Response:
     """A pose file (.npz of AMASS, SMPL-X or caphy; .bvh of CMU) as this avatar's poses: a frames request's body."""
+    require_known(request, "name", "fps")
     bundle = find_avatar(request, avatar).bundle
     hold = hold_of(request)
     content = await hold.read(request)

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from caphy.conditioning import Body, Conditioner, Conditioning, condition, condition_sequence
+from caphy.conditioning import Body, Conditioner, Conditioning, condition, condition_sequence, condition_upright
 from caphy.conditioning.body import bundled_body
-from caphy.conditioning.quaternions import exponential
+from caphy.conditioning.quaternions import exponential, logarithm
+from caphy.conditioning.standing import standing_pose
 from caphy.conventions import JOINT_NAMES
 from caphy.errors import CaphyError
-from caphy.io.poses import read_poses
+from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.poses.camera import OPENCV_TO_Y_UP, level_camera
 from caphy.io.poses.ground import sole_points, world_joints
 from caphy.rotations import matrix_from_axis_angle
@@ -178,3 +179,34 @@ def test_captured_walks_are_carried_as_far_as_they_went(shared_data):
     conditioner = Conditioner(Conditioning(scale=None))
     condition(conditioner, np.arange(len(clip)) / 30, clip.poses, 0.7 * clip.transl)
     assert conditioner.world()["scale"] == pytest.approx(1 / 0.7, rel=0.1)
+
+
+def test_a_whole_motion_is_upright_from_its_beginning(body):
+    """Somebody stands still before a camera that looks down by 20 degrees: a stream tilts them back as it learns."""
+    look = matrix_from_axis_angle(np.array([np.radians(20), 0.0, 0.0])) @ OPENCV_TO_Y_UP.T
+    count = 60
+    poses = np.tile(logarithm(standing_pose()), (count, 1, 1))
+    still = PoseSequence(poses, np.tile([0.0, 0.0, -4.0], (count, 1)), 30.0, pelvis=body.joints[0])
+    seen = level_camera(replace(still.turned(look), frame="camera"))
+    settings = Conditioning(frame="camera")
+    conditioner = Conditioner(settings)
+    made = condition_sequence(seen, conditioner)
+    stream = condition(
+        Conditioner(settings), np.arange(count) / 30, still.turned(look).poses, still.turned(look).transl
+    )
+    leans = [np.degrees(np.arccos(matrix_from_axis_angle(p[:, 0])[:, 1, 1])) for p in (made.poses, arrays(stream)[0])]
+    assert leans[0].max() < 8 and leans[1][0] > 15
+    assert made.linear_speed().max() < 0.01
+    world = conditioner.world()
+    assert world["up_from"] == "motion" and world["up_error_degrees"] > 1
+
+
+def test_what_a_motion_learns_of_up_is_looked_at_once(walking, tilted):
+    """And learning goes on where the first look ended."""
+    seen = walking.turned(tilted)
+    settings, times = Conditioning(frame="camera"), np.arange(len(seen)) / 30
+    once, whole = Conditioner(settings), Conditioner(settings)
+    condition(once, times, seen.poses, seen.transl)
+    condition_upright(whole, times, seen.poses, seen.transl)
+    assert whole.world()["up"] == once.world()["up"]
+    assert whole.world()["up_error_degrees"] == once.world()["up_error_degrees"]

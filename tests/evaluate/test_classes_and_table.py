@@ -49,6 +49,9 @@ def test_classes_given_must_name_every_scan(tmp_path):
     assert read_classes(path, ["b", "a"]) == {"b": "walking", "a": "running"}
     with pytest.raises(CaphyError, match="no class for d"):
         read_classes(path, ["a", "d"])
+    path.write_text(json.dumps({"a": "running", "b": None}))
+    with pytest.raises(CaphyError, match="no class for b"):
+        read_classes(path, ["a", "b"])
     path.write_text("[1]")
     with pytest.raises(CaphyError, match="must be a JSON object"):
         read_classes(path, ["a"])
@@ -173,3 +176,5 @@ def test_a_row_given_must_hold_networks(tmp_path):
         given_row("mine")
     with pytest.raises(CaphyError, match="holds no networks"):
         given_row(f"mine={tmp_path}")
+    with pytest.raises(CaphyError, match="is that of clothes without a network"):
+        given_row(f"skinned template={tmp_path / 'mine'}")

@@ -25,7 +25,7 @@ def turned_root(root: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return rotation @ matrix_from_axis_angle(root)
 
 
-def check(sequence, *, hands=True, face=True, rotation=Z_TO_Y, pelvis):
+def check(sequence, *, hands=True, face=True, rotation=Z_TO_Y, pelvis, trans=TRANS):
     """Joints where SMPL-X has them, and the pelvis where the world's turn takes it."""
     np.testing.assert_allclose(
         matrix_from_axis_angle(sequence.poses[:, 0]), turned_root(ROOT[:, 0], rotation), atol=1e-9
@@ -33,7 +33,7 @@ def check(sequence, *, hands=True, face=True, rotation=Z_TO_Y, pelvis):
     np.testing.assert_allclose(sequence.poses[:, 1:22], BODY, atol=1e-12)
     np.testing.assert_allclose(sequence.poses[:, 22:25], np.concatenate([JAW, EYES], 1) * face, atol=1e-12)
     np.testing.assert_allclose(sequence.poses[:, 25:], HANDS * hands, atol=1e-12)
-    np.testing.assert_allclose(sequence.transl + pelvis, (TRANS + pelvis) @ rotation.T, atol=1e-6)
+    np.testing.assert_allclose(sequence.transl + pelvis, (trans + pelvis) @ rotation.T, atol=1e-6)
 
 
 SMPLX = np.array([0.0031233, -0.3514075, 0.0120366])
@@ -143,6 +143,7 @@ def test_hand_pca_is_left_out_and_said(tmp_path):
         ({"poses": np.zeros((T, 135)), "trans": TRANS, "fps": 30}, r"165 \(SMPL-X"),
         ({"poses": np.zeros((T, 156)), "fps": 30}, "translation, transl or trans"),
         (plain_smplx(fps=30, transl=TRANS[:4]), r"translation must be \(6, 3\)"),
+        (plain_smplx(fps=30, transl=TRANS.T.copy()), r"translation must be \(6, 3\) like the poses, got \(3, 6\)"),
         (plain_smplx(fps=30, body_pose=np.zeros((T, 69))), "SMPL's 23 joints"),
         (plain_smplx(fps=30, body_pose=np.zeros((T, 60))), "body_pose must hold 6 x 63 values"),
         (plain_smplx(fps=30, jaw_pose=np.array(["x"])), "jaw_pose must be numbers"),
@@ -274,7 +275,8 @@ def test_smplerx(tmp_path):
         read_poses(tmp_path)
     sequence = read_poses(tmp_path, fps=25)
     assert sequence.frame == "camera"
-    check(sequence, rotation=np.diag([1, -1, -1]), pelvis=SMPLX)
+    check(sequence, rotation=np.diag([1, -1, -1]), pelvis=SMPLX, trans=0 * TRANS)  # a crop's camera knows no place
+    assert any("condition it with translation feet" in note for note in sequence.notes)
     smplerx(tmp_path, 2, person=1)
     with pytest.raises(CaphyError, match="2 persons per frame"):
         read_poses(tmp_path, fps=25)
@@ -314,3 +316,12 @@ def test_files_of_nothing_are_named(tmp_path):
     (tmp_path / "text.npz").write_text("hello")
     with pytest.raises(CaphyError, match="no archive at all"):
         read_poses(tmp_path / "text.npz")
+
+
+def test_what_a_format_does_not_ask_for_is_refused(tmp_path):
+    np.savez(tmp_path / "one.npz", **plain_smplx(fps=30))
+    with pytest.raises(CaphyError, match="holds one person; leave --person out"):
+        read_poses(tmp_path / "one.npz", person=3)
+    (tmp_path / "wham.pkl").write_bytes(b"")
+    with pytest.raises(CaphyError, match="say their axes themselves; leave --up out"):
+        read_poses(tmp_path / "wham.pkl", fps=25, up="z")

@@ -221,6 +221,11 @@ def test_a_scan_that_turns_out_to_show_no_clothes_is_left_out(finished, world, t
         (("--fabric", "chainmail"), "no measured fabric 'chainmail'"),
         (("--poses", "nowhere"), "nowhere: there is no such file or folder"),
         (("--body", "mine.npz"), "needs its licence in words"),
+        (("--body", "mine.npz", "--licence", "mine"), "there is no such body model file"),
+        (("--parser", "color"), "--parser must be colour, labels, or the file of an ONNX human parser"),
+        (("--layout", "nonsense"), "neither a known label layout"),
+        (("--layout", "schp-lip"), "give that with --parser"),
+        (("--vgg", __file__), "holds no weights that can be read"),
     ],
 )
 def test_bad_options_are_refused_before_anything_is_done(world, tmp_path, capsys, arguments, message):

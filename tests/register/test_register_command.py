@@ -78,14 +78,14 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
     assert (run / "body.png").stat().st_size > 10_000
 
     garment = Garment.load(GARMENTS / "trousers.npz")
-    basis = tmp_path / "wide.npz"
+    basis = tmp_path / "My basis.npz"
     np.savez(
         basis, mean=garment.vertices, components=0.02 * garment.vertices[None] * [1.0, 0.0, 1.0], faces=garment.faces
     )
     monkeypatch.setattr("caphy.register.linear_style.choose_linear", partial(choose_linear, count=5))
     command = ["register", "garments", str(folder), "-o", str(run), "--kinds", "lower", "--lower-basis", str(basis)]
     assert main(command) == 0
-    assert Garment.load(run / "lower.npz").name == "wide"
+    assert Garment.load(run / "lower.npz").name == "lower"  # whatever the file of its basis is called
     assert json.loads((run / "garments.json").read_text())["lower"]["looked_at"] == 5
 
     # Stopped amid the second garment, it goes on with what was found.

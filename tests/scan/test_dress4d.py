@@ -129,3 +129,33 @@ def test_labels_of_another_mesh_are_left_out(tmp_path):
 def test_what_is_no_take(tmp_path):
     with pytest.raises(CaphyError, match="holds no Meshes_pkl"):
         convert_take(tmp_path, tmp_path / "set")
+
+
+@pytest.mark.parametrize(
+    ("folder", "changes", "says"),
+    [
+        ("SMPLX/mesh-f00002_smplx.pkl", {"transl": np.ones(2)}, "transl must be three numbers"),
+        ("SMPLX/mesh-f00002_smplx.pkl", {"betas": np.zeros(5)}, ""),
+        ("Meshes_pkl/mesh-f00002.pkl", {"uvs": np.full((len(BOX.vertices), 2), np.nan)}, "uvs must be finite"),
+        ("Semantic/labels/label-f00002.pkl", {"scan_labels": np.arange(len(BOX.vertices)) % 6 + 0.5}, "whole numbers"),
+    ],
+)
+def test_a_strange_frame_is_named_and_the_others_are_converted(tmp_path, folder, changes, says):
+    take = _take(tmp_path / "Take1", ("00001", "00002", "00003"))
+    path = take / folder
+    path.write_bytes(pickle.dumps(pickle.loads(path.read_bytes()) | changes))
+    said = []
+    scans = convert_take(take, tmp_path / "set", say=said.append)
+    assert len(said) == bool(says) and says in "".join(said)
+    assert scans.names == (("f00001", "f00003") if says else ("f00001", "f00002", "f00003"))
+    assert scans.poses is not None
+
+
+def test_colours_that_are_no_table_are_told(tmp_path):
+    take = _take(tmp_path / "Take1", ("00001", "00002"))
+    (take / "Meshes_pkl" / "atlas-f00002.pkl").unlink()
+    path = take / "Meshes_pkl" / "mesh-f00002.pkl"
+    path.write_bytes(pickle.dumps(pickle.loads(path.read_bytes()) | {"colors": np.ones(len(BOX.vertices))}))
+    said = []
+    assert convert_take(take, tmp_path / "set", say=said.append).names == ("f00001",)
+    assert "colors must be finite, of shape" in said[0]

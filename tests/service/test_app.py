@@ -252,6 +252,9 @@ def test_unknown_avatars_garments_and_routes(http, motion):
     refused(http.get("/nothing"), 404)
     refused(http.get(FRAMES), 405)
     refused(http.get("/avatars/shell/mesh?format=obj"), 422, "format")
+    refused(http.get("/avatars/shell/mesh?format=glb&moprh=true"), 422, "'moprh' is no parameter here; there is format")
+    refused(http.post("/avatars/shell/poses?name=a.npz&fsp=60", content=b""), 422, "'fsp' is no parameter here")
+    refused(http.get("/avatars/shell/poses?fps=60"), 422, "'fps' is no parameter here; there are none")
 
 
 @pytest.mark.parametrize("body", [b"", b"CPHQ", b"XXXX" + bytes(20), bytes(24), b"{}", b"\xff" * 100])

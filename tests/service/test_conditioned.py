@@ -137,7 +137,7 @@ def test_off_unless_asked_for_and_said(http, motion):
         ("?condition=maybe", {}, "on, off, or settings"),
         ('?condition={"cutoff":-1}', {}, "cutoff must lie"),
         ('?condition={"fps":60}', {}, "fps is the avatar's"),
-        ("?condition=[1]", {}, "table of settings"),
+        ("?condition=[1]", {}, "settings in JSON"),
         ('?condition={"frame":"camera","up":[1' + 400 * "0" + ",0,0]}", {}, "up must be a direction"),
         ("", {"times": [0, 1, 2, 3]}, "ask for it"),
         ("?condition=on", {"times": [0, 1]}, "one for each pose"),

@@ -418,6 +418,14 @@ def test_another_avatar_can_be_chosen(browser, bundle, tmp_path):
         page.context.close()
 
 
+def test_a_link_to_another_avatar_says_that_there_is_none(browser, url):
+    page = browser.new_page()
+    page.goto(f"{url}/?avatar=nope&feed=camera")
+    until(page, 'globalThis.caphy?.state.kind === "error"')
+    assert "There is no avatar 'nope'; there is shell." in page.locator("#state").text_content()
+    page.close()
+
+
 def test_a_key_is_asked_for(browser, avatars):
     with live_service(avatars, CAPHY_API_KEY="swordfish-swordfish") as service:
         page = opened(browser, service.url, [])

@@ -47,19 +47,29 @@ def _read(path: Path, fps: float | None, up: Literal["y", "z"] | None, person: i
         return read_smplerx(path, fps, person)
     match path.suffix.lower():
         case ".npz":
+            _require_one(path, person)
             archive = Archive(path)
             return read_canonical(archive, fps, up) if is_canonical(archive) else read_smplx_npz(archive, fps, up)
         case ".bvh":
+            _require_one(path, person)
             from caphy.io.poses.cmu import read_cmu_bvh
 
             return read_cmu_bvh(path, fps, up)
         case ".amc":
+            _require_one(path, person)
             from caphy.io.poses.cmu import read_cmu_amc
 
             return read_cmu_amc(path, fps, up)
         case ".pt" | ".pkl" | ".npy":
+            if up is not None:
+                raise CaphyError(f"{path}: results of estimators say their axes themselves; leave --up out")
             return _read_estimated(path, fps, person)
     raise CaphyError(f"{path}: pose files end in {', '.join(SUFFIXES)}; got {path.suffix or 'no suffix'}")
+
+
+def _require_one(path: Path, person: int | None) -> None:
+    if person is not None:
+        raise CaphyError(f"{path}: holds one person; leave --person out")
 
 
 def _read_estimated(path: Path, fps: float | None, person: int | None) -> PoseSequence:
@@ -71,10 +81,9 @@ def _read_estimated(path: Path, fps: float | None, person: int | None) -> PoseSe
     from caphy.io.poses.tram import read_tram
     from caphy.io.poses.wham import read_wham
 
-    if path.suffix.lower() == ".pt":
-        return read_gvhmr(path, fps)
-    if path.suffix.lower() == ".npy":
-        return read_tram(path, fps)
+    if path.suffix.lower() in (".pt", ".npy"):
+        _require_one(path, person)
+        return read_gvhmr(path, fps) if path.suffix.lower() == ".pt" else read_tram(path, fps)
     results = read_pickle(path)
     if is_phalp(results):
         return read_phalp(results, path, fps, person)

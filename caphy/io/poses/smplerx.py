@@ -1,6 +1,8 @@
 """Results of SMPLer-X (Cai et al., NeurIPS 2023): a folder with one ``.npz`` per frame and person.
 
-Files are named FRAME_PERSON.npz; the person's number is the place in that frame's detections, not a track.
+Files are named FRAME_PERSON.npz; the person's number is the place in that frame's detections, not a track. Their
+``transl`` is in a camera of each detection's own crop, whose focal length follows the crop's size: it tells neither
+where a person stands nor how far away.
 """
 
 from __future__ import annotations
@@ -25,12 +27,11 @@ def read_smplerx(folder: Path, fps: float | None, person: int | None = None) -> 
     """One person's motion from a folder of frames; ``fps`` [Hz] must be given. Raises :class:`CaphyError`."""
     files, person = _files(folder, person)
     fps = require_fps(fps, str(folder), "frames in separate files have no frame rate")
-    poses, transl, betas = [], [], []
+    poses, betas = [], []
     for path in files.values():
         archive = Archive(path)
-        archive.require("global_orient", "body_pose", "transl")
+        archive.require("global_orient", "body_pose")
         poses.append(parts_of_pose(archive, 1)[0])
-        transl.append(archive.columns("transl", 3, 1))
         betas.append(archive.floats("betas").ravel() if "betas" in archive else np.zeros(10))
     if len({len(row) for row in betas}) != 1:
         raise CaphyError(f"{folder}: betas differ in length from frame to frame")
@@ -39,10 +40,13 @@ def read_smplerx(folder: Path, fps: float | None, person: int | None = None) -> 
             folder,
             fps,
             np.concatenate(poses),
-            np.concatenate(transl),
+            np.zeros((len(poses), 3)),
             np.array(list(files)),
             np.array(betas),
-            notes=(f"detection {person} of each frame; detections are not tracked",),
+            notes=(
+                f"detection {person} of each frame; detections are not tracked",
+                "translations are of each crop's own camera, and left out; condition it with translation feet",
+            ),
         )
     )
 

@@ -45,7 +45,7 @@ def read_smplx_npz(archive: Archive, fps: float | None = None, up: Literal["y", 
     amass = any(name in archive for name in RATES[:2])
     poses, model, notes = _poses(archive)
     transl = _first(archive, ("transl", "trans"), where)
-    if transl.size != 3 * len(poses):
+    if transl.size != 3 * len(poses) or (transl.ndim > 1 and transl.shape[0] != len(poses)):
         raise CaphyError(f"{where}: translation must be ({len(poses)}, 3) like the poses, got {transl.shape}")
     betas = None
     if "betas" in archive:

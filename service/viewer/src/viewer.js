@@ -40,6 +40,10 @@ class Viewer {
       const avatars = await listAvatars();
       if (!avatars.length) throw new Refusal("The service is still loading its avatars.", 503);
       this.choices(avatars);
+      const named = asked.get("avatar"), there = avatars.map(({ id }) => id);
+      if (named && !there.includes(named)) {
+        throw new Refusal(`There is no avatar '${named}'; there is ${there.join(", ")}.`, 404);
+      }
       await this.dress(find("avatar").value);
       if (asked.has("feed")) return this.follow(asked.get("feed"));
       await this.run(await this.fetched(() => madeUpMotion(this.avatar.id)));

@@ -1,4 +1,4 @@
-/* built from sources 02656e1ec1425a33848d07718b7aed47ae442fb65358791cda10a86b6b7d3628 */
+/* built from sources e1512a6e7e61089e8752af25f3510504c9331cde80e47d56ce449f570fcd4bc3 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
