@@ -127,7 +127,6 @@ def _check(options: Fit) -> None:
 def _check_files(options: Fit) -> None:
     """Raise CaphyError where a body, a parser or weights are none, which stages would find after hours."""
     from caphy.commands.body import load_body
-    from caphy.evaluate.perceptual import Vgg16
     from caphy.scan.label_layouts import find_layout
 
     load_body(options.body)
@@ -140,4 +139,6 @@ def _check_files(options: Fit) -> None:
     if not own and options.layout != Fit.layout:
         raise CaphyError("--layout says what the classes of an ONNX parser are; give that with --parser")
     if options.vgg is not None:
+        from caphy.evaluate.perceptual import Vgg16
+
         Vgg16(options.vgg)
