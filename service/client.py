@@ -108,7 +108,8 @@ class Client:
         sequence = sequence.about(np.array(known["joints"][0]))
         sizes = {g["name"]: g["state_size"] for g in known["garments"] if not garments or g["name"] in garments}
         state = given.joined(states, sizes) if states else np.zeros(0, np.float32)
-        body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, state))
+        sure = None if condition is None or sequence.unseen is None else (1 - sequence.unseen).astype(np.float32)
+        body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, state, confidence=sure))
         chosen = [("garment", name) for name in garments]
         chosen += [("encoding", encoding)] * (encoding != "float32") + [("normals", "true")] * normals
         chosen += [] if condition is None else [("condition", given.settings(condition))]

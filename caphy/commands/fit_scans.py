@@ -143,7 +143,7 @@ def _write_kept(scans: ScanSet, kept: Sequence[int], folder: Path, with_labels: 
     poses = scans.poses
     if poses is not None:
         index = list(kept)
-        poses = replace(poses, poses=poses.poses[index], transl=poses.transl[index])
+        poses = replace(poses, poses=poses.poses[index], transl=poses.transl[index], unseen=None)
     write_scan_set(folder, chosen, SCANS, poses)  # whatever it was called, later stages follow from the same
 
 

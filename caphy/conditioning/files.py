@@ -74,7 +74,8 @@ def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> Pose
     if len(seen) > 1 and seen.fps * BRIDGE <= 1 + 1e-9:  # a stream could not know what comes after; a file does
         notes = (*notes, f"conditioning: {seen.fps:g} poses a second are few; between them joints turn evenly")
         seen = seen.resample(conditioner.settings.fps)
-    frames = condition_upright(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, seen.transl)
+    sure = None if seen.unseen is None else 1.0 - seen.unseen  # what was filled in, nobody saw
+    frames = condition_upright(conditioner, np.arange(len(seen)) / seen.fps, seen.poses, seen.transl, sure)
     if not frames:
         raise CaphyError(f"{sequence.source}: nobody was seen in it, so there is no motion")
     told = tuple(dict.fromkeys(note for frame in frames for note in frame.notes))
@@ -89,4 +90,5 @@ def condition_sequence(sequence: PoseSequence, conditioner: Conditioner) -> Pose
         frame="world",
         pelvis=pelvis,
         notes=(*notes, *said),
+        unseen=None,
     )

@@ -52,7 +52,7 @@ def preroll_poses(poses: PoseSequence, seconds: float = SECONDS) -> PoseSequence
             f"({speed:.0f} m/s); cut the first frame off, or give the motion in metres at its own frame rate"
         )
     transl = poses.transl[0] + back * velocity
-    return replace(poses, poses=axis_angle_from_quaternion(arrived), transl=transl, fps=_FPS)
+    return replace(poses, poses=axis_angle_from_quaternion(arrived), transl=transl, fps=_FPS, unseen=None)
 
 
 def start_state(newton: Newton, motion: BodyMotion, seconds: float = SECONDS) -> State:

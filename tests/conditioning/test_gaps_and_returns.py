@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from caphy.conditioning import Conditioner, Conditioning, Did, condition
-from caphy.conditioning.quaternions import between, exponential, heading
+from caphy.conditioning import Conditioner, Conditioning, Did, condition, condition_sequence
+from caphy.conditioning.quaternions import between, exponential, heading, logarithm
 from caphy.conditioning.standing import standing_pose
 from caphy.conventions import JOINT_NAMES
+from caphy.io.poses import PoseSequence
 
 ELBOW, KNEE = JOINT_NAMES.index("left_elbow"), JOINT_NAMES.index("left_knee")
 RATE = 30.0
@@ -185,3 +188,23 @@ def test_a_place_that_becomes_known_late_is_gone_to_or_begins_anew():
         assert bool(frames[int(step.argmax()) + 1].did & Did.RESET) == anew
         assert (step.max() < 0.5 * away) != anew
         assert abs(frames[-1].transl[0] - frames[0].transl[0] - away) < 0.01
+
+
+def test_frames_that_a_file_lacks_are_gaps_as_in_a_stream(body):
+    """Somebody stands still, is lost for two seconds and found three metres on: nobody is seen to glide there."""
+    count, gap = 150, slice(50, 100)
+    poses = np.tile(logarithm(standing_pose()), (count, 1, 1))
+    transl = np.where(np.arange(count)[:, None] < 100, [0.0, 0.0, 0.0], [3.0, 0.0, 0.0])
+    transl[gap] = np.linspace(0, 1, 50)[:, None] * [3.0, 0.0, 0.0]  # as a reader fills them
+    unseen = np.zeros(count, bool)
+    unseen[gap] = True
+    told = PoseSequence(poses, transl, 25.0, pelvis=body.joints[0], unseen=unseen)
+    conditioner = Conditioner()
+    made = condition_sequence(told, conditioner)
+    assert made.unseen is None and len(made) == 179
+    at = np.arange(len(made)) / made.fps
+    lost = made.transl[(at > 2.2) & (at < 3.8), 0]
+    assert np.abs(lost).max() < 0.05
+    assert conditioner.summary.frames["held"] > 0 and conditioner.summary.refused["nobody"] == 50
+    glides = condition_sequence(replace(told, unseen=None), Conditioner())
+    assert np.ptp(glides.transl[(at > 2.2) & (at < 3.8), 0]) > 1

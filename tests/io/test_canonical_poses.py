@@ -34,6 +34,13 @@ def test_comes_back_as_it_was(tmp_path, fields):
     assert (after.betas is None) == (before.betas is None)
 
 
+def test_frames_that_nobody_saw_come_back(tmp_path):
+    write_poses(made(unseen=np.array([False, True, False, False, True])), tmp_path / "a.npz")
+    assert read_poses(tmp_path / "a.npz").unseen.tolist() == [False, True, False, False, True]
+    write_poses(made(), tmp_path / "b.npz")
+    assert read_poses(tmp_path / "b.npz").unseen is None
+
+
 def test_a_rate_that_is_given_replaces_the_file_s_and_is_noted(tmp_path):
     write_poses(made(notes=(), source=""), tmp_path / "a.npz")
     assert read_poses(tmp_path / "a.npz", fps=25.0).fps == 25.0

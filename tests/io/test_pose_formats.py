@@ -282,7 +282,9 @@ def test_smplerx(tmp_path):
         read_poses(tmp_path, fps=25)
     assert len(read_poses(tmp_path, fps=25, person=0)) == T
     (tmp_path / "00003_0.npz").unlink()
-    assert any("interpolated: 3" in note for note in read_poses(tmp_path, fps=25, person=0).notes)
+    gappy = read_poses(tmp_path, fps=25, person=0)
+    assert any("interpolated: 3" in note for note in gappy.notes)
+    assert gappy.unseen.tolist() == [False, False, False, True, False, False]
 
 
 def test_empty_missing_and_unknown(tmp_path):

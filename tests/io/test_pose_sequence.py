@@ -168,3 +168,16 @@ def test_jumps_are_found_with_frame_and_joint():
     wrapped = np.zeros((2, 55, 3))
     wrapped[:, 0, 1] = [np.pi - 0.01, -np.pi + 0.01]  # the same heading, written on two sides of pi
     assert not PoseSequence(wrapped, np.zeros((2, 3)), 30.0).jumps()
+
+
+def test_frames_that_nobody_saw_stay_known():
+    unseen = np.array([False, False, True, False])
+    told = PoseSequence(np.zeros((4, 55, 3)), np.zeros((4, 3)), 10.0, unseen=unseen)
+    assert told[1:].unseen.tolist() == [False, True, False]
+    assert told[::2].unseen.tolist() == [False, True]
+    assert told.resample(20.0).unseen.tolist() == [False, False, False, True, True, False, False]
+    whole = replace(told, unseen=None)
+    assert concatenate([whole, told]).unseen.tolist() == [False] * 4 + unseen.tolist()
+    assert concatenate([whole, whole]).unseen is None
+    with pytest.raises(CaphyError, match="unseen must tell of each of 4 frames"):
+        replace(told, unseen=unseen[:3])

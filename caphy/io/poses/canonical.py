@@ -37,6 +37,8 @@ def write_poses(sequence: PoseSequence, path: Path) -> None:
     }
     names = ("poses", "transl", "pelvis", *(() if sequence.betas is None else ("betas",)))
     arrays: dict[str, Any] = {name: getattr(sequence, name) for name in names}
+    if sequence.unseen is not None:
+        arrays["unseen"] = sequence.unseen.astype(np.uint8)
     with new_file(path) as file:
         np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
 
@@ -76,5 +78,6 @@ def read_canonical(archive: Archive, fps: float | None = None, up: Literal["y", 
         pelvis=archive.floats("pelvis"),
         betas=archive.floats("betas") if "betas" in archive else None,
         notes=notes,
+        unseen=archive.floats("unseen") != 0 if "unseen" in archive else None,
         **fields,
     )

@@ -29,7 +29,9 @@ def estimated(
     shape, varies = (None, ()) if betas is None else mean_betas(betas, str(path))
     pelvis, shaped = rest_pelvis(model, "neutral", shape)
     poses, transl, gaps = without_gaps(poses, transl, numbers, str(path))
+    unseen = ~np.isin(np.arange(numbers[0], numbers[0] + len(poses)), numbers) if gaps else None
     return PoseSequence(
+        unseen=unseen,
         poses=poses,
         transl=transl,
         fps=fps,

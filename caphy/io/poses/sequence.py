@@ -78,6 +78,7 @@ class PoseSequence:
     model: the body whose rotations these are: "smplx", "smplh" or "smpl".
     pelvis: (3,) rest position of the pelvis joint that ``transl`` refers to [m].
     notes: what the reader had to assume, in plain words.
+    unseen: (T,) of the frames in which nobody was seen and which a reader filled in, or none where all were seen.
     """
 
     poses: np.ndarray
@@ -90,6 +91,7 @@ class PoseSequence:
     model: str = "smplx"
     pelvis: np.ndarray | tuple[float, float, float] = SMPLX_PELVIS
     notes: tuple[str, ...] = ()
+    unseen: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         where = self.source or "pose sequence"
@@ -119,7 +121,11 @@ class PoseSequence:
         betas = None if self.betas is None else _array(self.betas, where, "betas").ravel()
         if betas is not None and not np.isfinite(betas).all():
             raise CaphyError(f"{where}: betas must be finite, got {betas}")
+        unseen = None if self.unseen is None else np.array(self.unseen, dtype=bool)
+        if unseen is not None and unseen.shape != (len(poses),):
+            raise CaphyError(f"{where}: unseen must tell of each of {len(poses)} frames, got shape {unseen.shape}")
         for name, value in (
+            ("unseen", unseen),
             ("poses", poses),
             ("transl", transl),
             ("pelvis", pelvis),
@@ -145,6 +151,7 @@ class PoseSequence:
             poses=self.poses[frames],
             transl=self.transl[frames],
             fps=self.fps / (frames.step or 1),
+            unseen=None if self.unseen is None else self.unseen[frames],
         )
 
     @property
@@ -164,7 +171,8 @@ class PoseSequence:
         count = int(np.floor(self.duration * fps + 1e-6)) + 1
         time = np.minimum(np.arange(count) * (self.fps / fps), len(self) - 1)
         poses, transl = interpolate(self.poses, self.transl, np.arange(len(self)), time)
-        return replace(self, poses=poses, transl=transl, fps=fps)
+        unseen = None if self.unseen is None else self.unseen[np.floor(time + 0.5).astype(int)]
+        return replace(self, poses=poses, transl=transl, fps=fps, unseen=unseen)
 
     def about(self, pelvis: np.ndarray) -> PoseSequence:
         """The same motion as told for a body whose pelvis rests at ``pelvis`` (3,) [m], root for root."""
@@ -264,8 +272,10 @@ def concatenate(sequences: list[PoseSequence]) -> PoseSequence:
                 )
         if not np.allclose(other.pelvis, first.pelvis):
             raise CaphyError(f"cannot join {first.source!r} and {other.source!r}: they are for different bodies")
+    unseen = [np.zeros(len(s), bool) if s.unseen is None else s.unseen for s in sequences]
     return replace(
         first,
+        unseen=np.concatenate(unseen) if np.any([each.any() for each in unseen]) else None,
         poses=np.concatenate([s.poses for s in sequences]),
         transl=np.concatenate([s.transl for s in sequences]),
         source=" + ".join(dict.fromkeys(s.source for s in sequences)),
