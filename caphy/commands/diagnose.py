@@ -142,11 +142,12 @@ def _with_history(diagnosis: Diagnosis, since: Model, command: Diagnose) -> Mode
     read = [path.stem for path in (*command.measurements, *command.base)]
     found = "lacked " + " and ".join(diagnosis.found) if diagnosis.found else "parameters were off"
     if base is not None and base.changed and new != base.model:
-        since = _revised(base.model, since, "base: parameters were off", read[-len(command.base) :], diagnosis.by_base)
-    return _revised(new, since, f"diagnosis: {found}", read, diagnosis.held_out)
+        since = revised(base.model, since, "base: parameters were off", read[-len(command.base) :], diagnosis.by_base)
+    return revised(new, since, f"diagnosis: {found}", read, diagnosis.held_out)
 
 
-def _revised(new: Model, since: Model, note: str, data: Sequence[str], held: HeldOut | None) -> Model:
+def revised(new: Model, since: Model, note: str, data: Sequence[str], held: HeldOut | None) -> Model:
+    """A model with what changed ``since`` another in its history, and the held-out errors before and after."""
     errors = (None, None, None) if held is None else (held.before_mm, held.after_mm, held.floor_mm)
     before, after, floor = (None if error is None else error / 1e3 for error in errors)
     return new.revised(since, note, data=data, error_before=before, error_after=after, floor=floor)

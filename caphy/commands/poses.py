@@ -15,7 +15,7 @@ from caphy.io.poses import PoseSequence, read_poses, write_poses
 from caphy.io.poses.sequence import require_rate
 
 LARGEST = 1e8
-"""Pixels of a contact sheet: a PNG of some 100 MB, drawn in minutes."""
+"""Pixels of a contact sheet, at most; a row of eight pictures has half a million unless said otherwise."""
 Files = Annotated[tuple[Path, ...], tyro.conf.Positional]
 
 
@@ -202,11 +202,12 @@ def _render(command: Render) -> None:
 
     if command.frames < 1 or command.size < 16:
         raise CaphyError(f"--frames must be at least 1 and --size 16, got {command.frames} and {command.size}")
+    if not np.isfinite(command.azimuth):
+        raise CaphyError(f"--azimuth must be finite [degrees], got {command.azimuth:g}")
     pixels = len(command.files) * command.frames * command.size**2
-    if not np.isfinite(command.azimuth) or pixels > LARGEST:
+    if pixels > LARGEST:
         raise CaphyError(
-            f"--azimuth must be finite, and all pictures together have at most {LARGEST:.0e} pixels, got "
-            f"{command.azimuth:g} degrees and {pixels:.1e} pixels; ask for fewer --frames or a smaller --size"
+            f"a sheet has at most {LARGEST:.0e} pixels, got {pixels:.1e}; ask for fewer --frames or a smaller --size"
         )
     writable_file(command.out, ".png", command.files)
     images, labels = [], []

@@ -12,7 +12,7 @@ import tyro
 
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress
-from caphy.commands.diagnose import physics_model, require_no_base
+from caphy.commands.diagnose import physics_model, require_no_base, revised
 from caphy.commands.following import following
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
@@ -143,17 +143,11 @@ def _write(
 
 def _with_history(command: RefitCommand, model: Model, found: Refit, learned: Base | None) -> Model:
     """The new model, and what base measurements and the refit changed, each as a revision of its own."""
-    held, since = found.held_out, model
+    fitted, trusted = ([path.stem for path in paths] for paths in (command.measurements, command.base))
     if learned is not None and learned.changed:  # the errors before are of that model
-        since = learned.model.revised(model, "base: parameters were off", data=[path.stem for path in command.base])
-    return found.model.revised(
-        since,
-        f"refit{' with ' + ', '.join(found.kept) if found.kept else ' of its parameters'}",
-        data=[path.stem for path in command.measurements],
-        error_before=held.before_mm / 1e3,
-        error_after=held.after_mm / 1e3,
-        floor=None if held.floor_mm is None else held.floor_mm / 1e3,
-    )
+        model = revised(learned.model, model, "base: parameters were off", trusted, None)
+    note = f"refit{' with ' + ', '.join(found.kept) if found.kept else ' of its parameters'}"
+    return revised(found.model, model, note, fitted, found.held_out)
 
 
 def table(found: Refit) -> str:

@@ -283,7 +283,7 @@ def _garment(
     return told
 
 
-def leaves_room(path: Path) -> bool:
+def _leaves_room(path: Path) -> bool:
     """Whether a garment keeps a further distance from the body, as far as can be told; those of linear bases do not."""
     from caphy.garment.template import Garment
 
@@ -303,7 +303,7 @@ def _tell_of_layers(command: Garments, kind: str, clouds: Sequence[Cloud]) -> No
             f"note: the scans show a lower garment, for which {command.output / 'upper.npz'} leaves no room, since it "
             "is not chosen yet; choose it first, or both together"
         )
-    elif kind == "lower" and other.is_file() and "upper" not in command.kinds and leaves_room(other):
+    elif kind == "lower" and other.is_file() and "upper" not in command.kinds and _leaves_room(other):
         print(f"note: {other} was chosen before, and leaves room for another garment, if any; choose it anew")
 
 
@@ -437,12 +437,12 @@ def _points(command: Points) -> None:
     fit = read_fit(command.output / "body.npz", load_body(command.body))
     scans = ScanSet.read(command.scans, command.labels)
     path = write_subject_body(fit, command.output)
-    before = (command.output / SPLIT).stat().st_mtime_ns if (command.output / SPLIT).is_file() else None
+    before = read_split(command.output) if (command.output / SPLIT).is_file() else None
     with Progress() as progress:
         failures = write_points(fit, scans, command.output, command.seed, progress)
     for message in failures.values():
         print(f"left out: {message}")
     sides = read_split(command.output)
-    if (command.output / SPLIT).stat().st_mtime_ns == before:
+    if sides == before:
         print(f"note: {command.output / SPLIT} is kept; remove it to draw another by --seed")
     print(f"{path}; points of {len(sides['train'])} scans to train on, {len(sides['held_out'])} held out")
