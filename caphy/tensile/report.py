@@ -93,8 +93,8 @@ def write(
     """Write diagnosis.json (refit.json), its page, and the model of each fabric; returns the paths.
 
     The models are of used cloth, which remembers the largest energy of either direction; where the first loading
-    differs, ``FABRIC_first.json`` is of that. With ``since``, the model that was fitted, to tables called ``data``, their
-    history says so.
+    differs, ``FABRIC_first.json`` is of that. With ``since``, the model that was fitted, to tables called ``data``,
+    their history says so.
     """
     from caphy import __version__
     from caphy.report.page.compose import tensile_page
