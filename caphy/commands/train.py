@@ -75,7 +75,7 @@ class Train:
     made_up: int = 0
     """Motions of 20 s made from seeds to train on besides the files: arms go where few recordings have them."""
     held_out: tuple[Path, ...] = ()
-    """Pose files or folders to validate on; without any, every sixth clip."""
+    """Pose files or folders to validate on; without any, every sixth file, or of fewer the end of the longest clip."""
     body: Path | None = None
     """Body npz in the SMPL-X format; subject_body.npz of --scans, or the bundled body unless given."""
     betas: tuple[float, ...] = ()
@@ -372,7 +372,12 @@ def _clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
         if not trained:
             raise CaphyError("all motions are held out, so there is none to train on; give others")
         return trained, unseen
-    if len(clips) < 6:
-        last, cut = clips[-1], max(1, int(0.8 * len(clips[-1])))
-        return [*clips[:-1], part(last, 0, cut), *extra], [part(last, cut, len(last)) if cut < len(last) else last]
-    return [clip for i, clip in enumerate(clips) if i % 6 != 5] + extra, clips[5::6]
+    recordings = list(dict.fromkeys(file_of(clip.source) for clip in clips))
+    if len(recordings) < 6:
+        longest = max(reversed(clips), key=len)
+        cut = max(1, int(0.8 * len(longest)))
+        begun = [part(clip, 0, cut) if clip is longest else clip for clip in clips]
+        return begun + extra, [part(longest, cut, len(longest)) if cut < len(longest) else longest]
+    kept = recordings[5::6]  # whole: what tracking errors cut apart is still one motion
+    trained, unseen = ([clip for clip in clips if (file_of(clip.source) in kept) is out] for out in (False, True))
+    return trained + extra, unseen

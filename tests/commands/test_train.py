@@ -220,6 +220,24 @@ def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):
     assert [Path(clip.source).name for clip in both[0]] == ["0.npz"]
 
 
+def test_parts_of_one_recording_are_on_one_side(monkeypatch):
+    """What tracking errors cut apart is one motion; the sixth recording is held out with all its parts."""
+    from caphy.commands.train import Train, _clips
+    from caphy.io.poses.parts import file_of, part
+
+    takes = [replace(swaying(40, seed), source=f"{seed}.npz") for seed in range(7)]
+    cut = [piece for take in takes for piece in (part(take, 0, 20), part(take, 21, 40))]
+    monkeypatch.setattr("caphy.training.motions.find_poses", lambda _: cut)
+    options = Train(Path("tube.npz"), (Path("motions"),), Path("run"))
+    trained, unseen = _clips(options)
+    assert [clip.source for clip in unseen] == ["5.npz#0-20", "5.npz#21-40"]
+    assert {file_of(clip.source) for clip in trained} == {f"{seed}.npz" for seed in (0, 1, 2, 3, 4, 6)}
+    monkeypatch.setattr("caphy.training.motions.find_poses", lambda _: cut[:7])  # of four recordings
+    trained, unseen = _clips(options)
+    assert [clip.source for clip in unseen] == ["3.npz#16-20"]
+    assert [clip.source for clip in trained] == [*(clip.source for clip in cut[:6]), "3.npz#0-16"]
+
+
 def test_resumed_without_a_length_it_has_the_one_it_began_with(inputs, capsys):
     """Not 45 minutes, with the rate back at its start."""
     assert train(inputs) == 0
