@@ -99,7 +99,10 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
         said.append(f"The median distance in the windows is {before:.2f} mm{noise}.")
     if diagnosis.held_out is not None and diagnosis.coefficients:
         held = diagnosis.held_out
-        said.append(f"On held-out measurements it falls from {held.before_mm:.2f} to {held.after_mm:.2f} mm.")
+        goes, but = "falls", ""
+        if held.after_mm >= held.before_mm:
+            goes, but = "goes", f", but the misfit falls by {100 * held.share:.1f} %, surely"
+        said.append(f"On held-out measurements it {goes} from {held.before_mm:.2f} to {held.after_mm:.2f} mm{but}.")
     if diagnosis.base is not None:
         said += learned_of(diagnosis.base)
     if diagnosis.by_base is not None:

@@ -135,7 +135,7 @@ def _refused(
         found.append("none of its numbers is surely different from zero")
     if errors.share < LEAST:
         found.append(f"{there} the misfit must fall by {100 * LEAST:.0f} %, but {fell}")
-    if errors.after_mm >= errors.before_mm:
+    if errors.after_mm >= errors.before_mm and not errors.outweighs(fitted.share):
         found.append(f"{there} the median distance must fall, but it {medians}")
     elif errors.share >= LEAST and not errors.proves(fitted.share):
         found.append(

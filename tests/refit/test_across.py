@@ -9,6 +9,7 @@ import pytest
 
 from caphy.effects.model import Model
 from caphy.refit.across import Across, across
+from caphy.refit.borrowed import Few
 from caphy.refit.columns import addition, extended, moved
 from caphy.refit.evidence import Weighing
 from caphy.refit.fit import judged
@@ -88,3 +89,26 @@ def test_what_holds_across_motions_need_not_surely_hold_in_a_few_windows(there, 
     held = HeldOut(3.0, 2.95, 1.5, np.full(5, 3.0), np.array([2.9, 2.9, 2.9, 3.1, 3.1]), share, 0.08, None, there)
     assert held.proves(0.12) == believed
     assert not replace(held, after_mm=3.01).proves(0.12)
+
+
+@pytest.mark.parametrize(
+    ("after_mm", "fell", "there", "share", "believed"),
+    [
+        (5.04, 3, Across(0.12, 0.02, 0.02), 0.099, True),
+        (5.04, 3, Across(0.12, 0.02, 0.02), 0.08, False),  # by 2.7 standard errors
+        (5.04, 3, Across(0.12, 0.05, 0.02), 0.099, False),  # across motions by 2.4
+        (5.04, 3, Across(0.12, 0.02, -0.01), 0.099, False),  # not in each motion
+        (5.04, 3, None, 0.099, False),
+        (5.04, 0, Across(0.12, 0.02, 0.02), 0.099, False),  # the median rises in each window
+        (5.20, 3, Across(0.12, 0.02, 0.02), 0.099, False),  # by 4 %
+    ],
+)
+def test_a_median_that_does_not_fall_is_outweighed_by_what_surely_falls_everywhere(
+    after_mm, fell, there, share, believed
+):
+    before = np.array([6.16, 4.14, 3.92, 5.91, 5.65])
+    after = np.where(np.arange(5) < fell, before - 0.1, before + 0.1)
+    held = HeldOut(4.98, after_mm, 1.54, before, after, share, 0.03, None, there)
+    assert held.proves(0.13) == believed
+    few = Few(0.01, 0.1)
+    assert not replace(held, few=few).proves(0.13)
