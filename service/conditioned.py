@@ -77,12 +77,25 @@ def require_conditionable(request: FramesRequest, settings: Conditioning | None)
     frames, joints = request.poses.shape[:2]
     if request.times is not None and (request.times.shape != (frames,) or not np.isfinite(request.times).all()):
         raise Problem(422, f"times: must be {frames} finite numbers [s], one for each pose")
+    try:
+        require_seconds(request.times)
+    except CaphyError as error:
+        raise Problem(422, str(error)) from error
     if request.confidence is not None:
         if request.confidence.shape not in ((frames,), (frames, joints)):
             raise Problem(
                 422, f"confidence: must have shape ({frames},) or ({frames}, 55), got {request.confidence.shape}"
             )
         _require_shares(request.confidence)
+
+
+def require_seconds(times: np.ndarray | None) -> None:
+    """Raise CaphyError where times (T,) [s] are so late that they resolve no frame: they are of another unit."""
+    late = [] if times is None else times[np.abs(times) > LATEST].tolist()
+    if late:
+        raise CaphyError(
+            f"times: must be seconds within {LATEST:g} s of 0, got {late[0]:g}; are they milliseconds? Divide by 1000"
+        )
 
 
 def _require_shares(confidence: np.ndarray) -> None:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from caphy.commands.begun import (
+    GARMENT,
+    MODEL,
     OPTIONS,
     as_long,
     exporting,
@@ -205,6 +207,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
         use_file(file)
     options = as_long(_found(options))
     garment = _garment(options.garment)
+    options = _with_worn(options, garment)
     initial = None if options.init is None else read_initial(options.init, garment)
     model, shape = _model(options, initial), options.betas or (initial.betas if initial else ())
     body = default_body() if options.body is None else BodyModel.load(options.body)
@@ -225,8 +228,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
     potential = Potential(model, Cloth.of(garment, model.density), torch.float32, options.device)
     objective = Objective(potential, body, network.template, network.weights, fps, betas)
     minutes = 45.0 if options.minutes is None and options.steps is None else options.minutes
-    schedule = Schedule(options.steps, minutes)
-    scans = _scans(options, garment, objective, network)
+    schedule, scans = Schedule(options.steps, minutes), _scans(options, objective, network)
     trainer = Trainer(options.output, network, objective, motions, unseen, schedule, options.seed, scans=scans)
     if options.resume and record:
         require_same(options, garment, model, trained)
@@ -271,20 +273,30 @@ def _counted(motions: list[PoseSequence]) -> str:
     return f"{len(motions)} clip{'s' * (len(motions) != 1)}"
 
 
-def _scans(options: Train, garment: Garment, objective: Objective, network: GarmentNetwork) -> Scans | None:
+def _with_worn(options: Train, garment: Garment) -> Train:
+    """The options with which part of a scan the garment is, where scans are learnt from; ``reopen`` has no file's name
+    to tell it by."""
+    from caphy.commands.supervision import worn_part
+
+    if options.scans is None or options.worn is not None:
+        return options
+    return replace(options, worn=worn_part(options.garment, garment))
+
+
+def _scans(options: Train, objective: Objective, network: GarmentNetwork) -> Scans | None:
     if options.scans is None:
         return None
-    from caphy.commands.supervision import supervision, worn_part
+    from caphy.commands.supervision import supervision
     from caphy.training.scans import LAMBDA_3D
 
-    worn = options.worn or worn_part(options.garment, garment)
+    assert options.worn is not None
     weight = LAMBDA_3D if options.lambda_3d is None else options.lambda_3d
-    return supervision(options.scans, worn, options.outermost, objective, network, weight, options.physics)
+    return supervision(options.scans, options.worn, options.outermost, objective, network, weight, options.physics)
 
 
 def reopen(folder: Path, poses: tuple[Path, ...] = ()) -> Trainer:
-    """The training that 'caphy train' wrote into a folder, on its trained network; files it read must still be there,
-    but for the motions, which ``poses`` finds where they lie now.
+    """The training that 'caphy train' wrote into a folder, on its trained network and the garment kept beside it; other
+    files it read must still be there, but for the motions, which ``poses`` finds where they lie now.
 
     For :func:`caphy.commands.onward.onward` and for looking at losses; the trainer's own checkpoint is not loaded.
 
@@ -298,7 +310,9 @@ def reopen(folder: Path, poses: tuple[Path, ...] = ()) -> Trainer:
         options = Train(**{f.name: option(f.type, given[f.name], folder.resolve()) for f in known})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
-    on = replace(options, output=folder, init=folder, transfer=None, fabric=None, model=folder / "model.json")
+    on = replace(
+        options, garment=folder / GARMENT, output=folder, init=folder, transfer=None, fabric=None, model=folder / MODEL
+    )
     if poses and on.poses:
         on = replace(on, poses=poses, held_out=tuple(_found_again(path, poses) for path in on.held_out))
         require_same_motions(folder, _clips(on)[0])

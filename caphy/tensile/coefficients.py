@@ -9,7 +9,7 @@ import numpy as np
 
 from caphy.tensile.between import contrasts, learned
 from caphy.tensile.fit import Fit
-from caphy.tensile.null import deviations, drawn
+from caphy.tensile.null import drawn, freedom
 
 _DRAWS = 400
 
@@ -58,7 +58,7 @@ def _t_over_normal(fit: Fit) -> float:
     """Few repeats know their scatter badly: Student's quantile over the normal one."""
     from scipy.stats import t
 
-    free = sum(len(deviations(test)) - 1 for test in fit.bench.tests)
+    free = sum(freedom(test) for test in fit.bench.tests)
     return float(t.ppf(0.975, max(free, 1)) / 1.96)
 
 

@@ -8,10 +8,9 @@ from typing import Final
 import numpy as np
 
 from caphy.conditioning import Body, Conditioner, Conditioning, Frame
-from caphy.conditioning.conditioner import LATEST
 from caphy.conditioning.seen import checked
 from caphy.errors import CaphyError
-from service.conditioned import arrays, settled_at
+from service.conditioned import arrays, require_seconds, settled_at
 
 NEVER: Final = -1
 CLOSE: Final = 1.0
@@ -76,15 +75,16 @@ class ConditionedClock:
         """Poses (N, 55, 3) and transl (N, 3), float32, of the frames that are complete after poses (T, 55, 3) from
         ``number`` on, and what was done to them.
 
-        Raises CaphyError where numbers do not rise, times span more than ``longest`` frames or confidences are no
-        shares; then nothing has happened.
+        Raises CaphyError where numbers do not rise, times are no seconds or span more than ``longest`` frames, or
+        confidences are no shares; then nothing has happened.
         """
         if number <= self._number:
             raise CaphyError(f"numbers must rise: after {self._number} came {number}; reset starts a new motion")
         if times is None:
             first = 0.0 if self._time == -np.inf else self._time + (number - self._number) / self.pose_fps
             times = first + np.arange(len(poses)) / self.pose_fps
-        rising = np.maximum.accumulate(np.append(self._time, times[np.abs(times) <= LATEST]))
+        require_seconds(times)
+        rising = np.maximum.accumulate(np.append(self._time, times[np.isfinite(times)]))
         self._require_short(np.diff(rising))
         trust = [None] * len(poses) if confidence is None else confidence
         seen = list(zip(poses, transl, trust, strict=True))

@@ -209,6 +209,17 @@ def test_a_training_is_opened_again_on_motions_that_were_moved(inputs):
         reopen(inputs / "run", (inputs / "elsewhere",))
 
 
+def test_a_training_is_opened_again_on_the_garment_that_is_kept_beside_its_network(inputs):
+    """The file that it began with may be another cut since, or gone."""
+    from caphy.commands.train import reopen
+
+    assert train(inputs) == 0
+    (inputs / "tube.npz").unlink()
+    trainer = reopen(inputs / "run")
+    kept = Garment.load(inputs / "run" / "garment.npz")
+    np.testing.assert_array_equal(trainer.objective.potential.cloth.faces, kept.faces)
+
+
 def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):
     from caphy.commands.train import Train, _clips
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -239,3 +240,24 @@ def test_forearms_before_the_shirt_stay_bare(bundle: AvatarBundle) -> None:
     assert (drawn[pixel(chest, 9)] < 250).any()
     for point, joint in zip(forearms, (18, 19), strict=True):
         assert (drawn[pixel(point, joint)] == 255).all()
+
+
+def test_ctrl_c_ends_a_camera_and_what_it_gave_is_written() -> None:
+    """Nothing else ends one; the second time it ends the program."""
+    stopped: list[bool] = []
+    camera = SimpleNamespace(is_camera=True, stop=lambda: stopped.append(True))
+    before = signal.getsignal(signal.SIGINT)
+    with command._ended_by_ctrl_c(camera):  # pyright: ignore[reportArgumentType]
+        signal.raise_signal(signal.SIGINT)
+        assert stopped == [True]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_no_time_at_all_is_refused_before_anything_is_written(video: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "dressed.mp4"
+    out.write_bytes(b"of before")
+    assert command.main([str(video), "-o", str(out), "--seconds", "-1"]) == 1
+    assert "--seconds must be positive, got -1" in capsys.readouterr().err
+    assert out.read_bytes() == b"of before"

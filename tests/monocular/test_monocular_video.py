@@ -118,6 +118,37 @@ def test_times_that_do_not_rise_are_repaired_and_said(monkeypatch: pytest.Monkey
     assert "breaks off after 5" in video.notes[1]
 
 
+def test_after_a_pause_times_go_on_as_the_file_has_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The pause is left out; what comes after it is not played at another rate."""
+    video = _captured(monkeypatch, tmp_path, [0.0, 0.05, 2.5, 2.6, 2.7, 2.9], 6)
+    np.testing.assert_allclose([picture.time for picture in video], [0.0, 0.05, 0.1, 0.2, 0.3, 0.5])
+    assert "1 time stamps are missing, do not rise or jump" in video.notes[0]
+
+
+def test_one_broken_time_stamp_costs_no_other(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    video = _captured(monkeypatch, tmp_path, [0.0, 0.1, 9.0, 0.3, np.nan, 0.42], 6)
+    np.testing.assert_allclose([picture.time for picture in video], [0.0, 0.1, 0.15, 0.3, 0.35, 0.42])
+    assert "2 time stamps" in video.notes[0]
+
+
+def test_a_slow_camera_has_the_times_of_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([10.0, 10.0, 10.1, 12.0, 12.1])
+    monkeypatch.setattr(module.cv2, "VideoCapture", _Capture([0.0] * 4, 0))
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
+    video = Video("0")
+    np.testing.assert_allclose([picture.time for picture in video], [0.0, 0.1, 2.0, 2.1])
+    assert not video.notes
+
+
+def test_a_stopped_video_ends_with_the_picture_at_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    video = _captured(monkeypatch, tmp_path, [0.0, 0.1, 0.2, 0.3], 4)
+    for picture in video:
+        if picture.time > 0.05:
+            video.stop()
+    assert video.read == 2
+    assert not video.notes
+
+
 @pytest.mark.parametrize("content", [b"", b"no video at all\n" * 100])
 def test_what_is_no_video_is_said(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "notes.mp4"

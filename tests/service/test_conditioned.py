@@ -190,9 +190,17 @@ def test_silences_make_no_frames(http, motion, leap):
 
 @pytest.mark.filterwarnings("error")
 def test_times_beyond_any_clock_are_refused_without_a_warning(http, motion):
-    times = np.r_[-1e308, np.arange(28) / 30, 1e308]
-    answer = conditioned_request(http, motion.poses, motion.transl, times)
-    assert json.loads(answer.headers["caphy-conditioning"])["refused"] == {"time stamp": 2}
+    for times in (np.r_[-1e308, np.arange(28) / 30, 1e308], 1.76e12 + np.arange(30) * 33.0):
+        answer = conditioned_request(http, motion.poses, motion.transl, times)
+        assert answer.status_code == 422
+        assert "must be seconds" in answer.json()["detail"] and "milliseconds" in answer.json()["detail"]
+
+
+def test_milliseconds_are_no_silence_on_a_stream(bundle):
+    """A browser's Date.now(): refused in words, where each pose was left out for ever."""
+    stream, poses = Stream(bundle), np.zeros((4, 55, 3), np.float32)
+    with pytest.raises(CaphyError, match=r"must be seconds within .* are they milliseconds\? Divide by 1000"):
+        stream.run(Seen(1, 0.0, poses, poses[:, 0], 1.76e12 + np.arange(4) * 33.0, np.ones((4, 55), np.float32)))
 
 
 @pytest.mark.parametrize(("value", "word"), [(np.inf, "got inf"), (np.nan, "got nan"), (-np.inf, "got -inf")])

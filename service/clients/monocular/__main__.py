@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +60,15 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--latency", type=float, default=Conditioning().latency, help="of the conditioning [s]")
     parser.add_argument("--poses", type=Path, help="also write the conditioned poses (.npz), for 'caphy poses'")
     parser.add_argument("--record", type=Path, help="also write what every picture gave (.npz), for the benchmark")
-    parser.add_argument("--seconds", type=float, default=np.inf, help="stop after so much of the video")
+    parser.add_argument(
+        "--seconds", type=float, default=np.inf, help="stop after so much of the video; Ctrl-C stops a camera"
+    )
     return parser.parse_args(arguments)
 
 
 def _run(options: argparse.Namespace) -> int:
+    if not options.seconds > 0:
+        raise CaphyError(f"--seconds must be positive, got {options.seconds:g}")
     for place, suffix in ((options.out, ".mp4"), (options.poses, ".npz"), (options.record, ".npz")):
         if place is not None:  # a video takes long, and must not be written over while it is read
             writable_file(place, suffix, inputs=[options.video])
@@ -84,7 +90,8 @@ def _run(options: argparse.Namespace) -> int:
     overlay = Overlay(bundle, focal, video.size) if options.out else None
     dressing = Dressing(wardrobe, settings)
     try:
-        record = run(video, estimator, dressing, overlay, show, counter, options.seconds)
+        with _ended_by_ctrl_c(video):
+            record = run(video, estimator, dressing, overlay, show, counter, options.seconds)
     finally:
         if writer is not None and partial is not None:
             writer.release()
@@ -93,6 +100,25 @@ def _run(options: argparse.Namespace) -> int:
         detector.close()
         counter.close()
     return _finish(options, video, bundle, estimator, dressing, record, wardrobe.name)
+
+
+@contextmanager
+def _ended_by_ctrl_c(video: Video) -> Iterator[None]:
+    """The first Ctrl-C ends a camera's pictures, which nothing else does, and what they gave is written; the second
+    ends the program, as the first does with a file."""
+    if not video.is_camera:
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        video.stop()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _wardrobe(options: argparse.Namespace, avatar: str, bundle: AvatarBundle) -> Wardrobe:

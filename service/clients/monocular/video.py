@@ -15,6 +15,7 @@ from caphy.errors import CaphyError
 _OFTEN = 1 / 240
 """Time stamps closer than this are not believed [s]."""
 _LONG = 1.0
+"""Nor are steps so long in a file, whose stamps may be broken [s]; a camera's are our own clock's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class Video:
     """A video file, or a camera by its number.
 
     Pictures come upright (the rotation that phones store is applied) and with the times the file states, so a frame
-    rate that varies is no matter. ``notes`` says what was odd, in words.
+    rate that varies is no matter; pauses of a second or more are left out. ``notes`` says what was odd, in words.
 
     Raises CaphyError where nothing can be read at all.
     """
@@ -49,8 +50,12 @@ class Video:
         self.notes: list[str] = []
         first = self._read() if self._capture.isOpened() else None
         if first is None:
-            what = "this camera gives no picture" if self.is_camera else "opencv finds no picture in this file"
-            raise CaphyError(f"{self.source}: {what}; is it a video, and whole? ffmpeg -i shows what is in it")
+            if self.is_camera:
+                raise CaphyError(f"{self.source}: this camera gives no picture; is it there, and free?")
+            raise CaphyError(
+                f"{self.source}: opencv finds no picture in this file; is it a video, and whole? ffmpeg -i shows what "
+                "is in it"
+            )
         self._first: np.ndarray | None = first
         self.size = first.shape[1], first.shape[0]
         fps = self._capture.get(cv2.CAP_PROP_FPS)
@@ -59,23 +64,36 @@ class Video:
             self.notes.append(f"the file states no sensible frame rate ({fps:g}); 30 is taken where times are missing")
         self._stated = 0 if self.is_camera else int(max(0.0, self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
         self.read = 0
+        self._stopped = False
+
+    def stop(self) -> None:
+        """The picture that is being read is the last; may be called from a signal's handler."""
+        self._stopped = True
 
     def __iter__(self) -> Iterator[Picture]:
         """Every picture that can be read, times rising."""
-        started, last, repaired = time.monotonic(), -np.inf, 0
+        started, repaired = time.monotonic(), 0
         pixels, self._first = self._first, None
+        last, left_out = -np.inf, 0.0
         while pixels is not None:
-            stamp = self._stamp(started)
-            if not last + _OFTEN < stamp < last + _LONG and self.read:
+            stated = self._stamp(started)
+            stamp = next((stated - out for out in (left_out, 0.0) if self._follows(stated - out, last)), None)
+            if stamp is None:
                 stamp, repaired = last + 1 / self.fps, repaired + (not self.is_camera)
+                left_out = stated - stamp if stated - left_out > last else left_out
+            else:
+                left_out = stated - stamp
             last = stamp
             self.read += 1
-            yield Picture(stamp if np.isfinite(stamp) else 0.0, pixels)
-            pixels = self._read()
+            yield Picture(stamp, pixels)
+            pixels = None if self._stopped else self._read()
         self._capture.release()
         if repaired:
-            self.notes.append(f"{repaired} time stamps are missing or do not rise; 1/{self.fps:g} s was taken for each")
-        if self.read < self._stated - 1:
+            self.notes.append(
+                f"{repaired} time stamps are missing, do not rise or jump by {_LONG:g} s or more; 1/{self.fps:g} s was "
+                "taken for each"
+            )
+        if self.read < self._stated - 1 and not self._stopped:
             self.notes.append(
                 f"the file states {self._stated} pictures and breaks off after {self.read} ({last:.2f} s); "
                 "all before that was used"
@@ -84,7 +102,12 @@ class Video:
     def _stamp(self, started: float) -> float:
         if self.is_camera:
             return time.monotonic() - started
-        return self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        stated = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        return stated if np.isfinite(stated) else 0.0
+
+    def _follows(self, stamp: float, last: float) -> bool:
+        """Whether a time stamp is believed after another, minus infinity before the first."""
+        return last + _OFTEN < stamp < (np.inf if self.is_camera or last == -np.inf else last + _LONG)
 
     def _read(self) -> np.ndarray | None:
         try:
