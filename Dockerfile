@@ -22,5 +22,5 @@ ENV PATH=/opt/caphy/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
 USER caphy
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=3s --start-period=20s CMD \
-    ["python", "-c", "import os, urllib.request as u; u.urlopen(f'http://127.0.0.1:{os.environ[\"CAPHY_PORT\"]}/ready', timeout=2)"]
+    ["python", "-c", "import os, urllib.request as u; u.build_opener(u.ProxyHandler({})).open(f'http://127.0.0.1:{os.environ[\"CAPHY_PORT\"]}/ready', timeout=2)"]
 CMD ["caphy", "serve"]

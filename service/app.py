@@ -12,9 +12,11 @@ from fastapi.middleware.cors import CORSMiddleware
 import caphy
 from service import problem
 from service.avatar_routes import add_avatars
+from service.described import describe_errors
 from service.endpoints_page import add_endpoints_page
 from service.frames_route import add_frames
 from service.guard import Guard, Guarded
+from service.heads import Heads
 from service.health import add_health
 from service.keys import RequireKey, Subprotocol
 from service.library import Library
@@ -63,6 +65,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     add_open_inference(app)
     add_metrics(app, metrics)
     add_viewer(app)
+    describe_errors(app)
     _add_middleware(app, settings)
     return app
 
@@ -70,6 +73,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 def _add_middleware(app: FastAPI, settings: Settings) -> None:
     """The one added last is the outermost: requests are observed, let in from other pages, counted, asked
     for the key, in this order."""
+    app.add_middleware(Heads, except_below="/viewer/")
     app.add_middleware(Subprotocol)
     if keys := settings.api_keys():
         app.add_middleware(RequireKey, keys=keys, public=PUBLIC)

@@ -24,8 +24,6 @@ LIMITS: dict[int | str, dict[str, Any]] = {
     status: {"description": text, "content": {"application/problem+json": {}}}
     for status, text in {
         413: "the answer has more bytes than may be held",
-        429: "one client asks for too much; `retry-after` says when to try again",
-        503: "the service is at its limit; `retry-after` says when to try again",
     }.items()
 }
 """Of answers without a request's body."""
@@ -74,7 +72,7 @@ def add_avatars(app: FastAPI) -> None:
         responses={200: {"content": {"application/json": {}, mesh.GLB_MEDIA_TYPE: {}}}, **NOT_FOUND, **LIMITS},
         response_class=Response,
     )
-    def static_mesh(
+    async def static_mesh(
         request: Request,
         hold: Entered,
         avatar: AvatarId,
@@ -85,13 +83,17 @@ def add_avatars(app: FastAPI) -> None:
         settings: Settings = request.app.state.settings
         require_known(request, "format", "morph")
         found = find_avatar(request, avatar)
-        if format == "glb":
-            content = found.once("morph", mesh.morph_glb) if morph else found.once("glb", mesh.mesh_glb)
-        else:
-            content = found.once("json", _mesh_json)
-        hold.reserve(len(content))
-        media_type = mesh.GLB_MEDIA_TYPE if format == "glb" else "application/json"
-        return PartsResponse([content], media_type, settings.send_seconds)
+
+        def work() -> Response:
+            if format == "glb":
+                content = found.once("morph", mesh.morph_glb) if morph else found.once("glb", mesh.mesh_glb)
+            else:
+                content = found.once("json", _mesh_json)
+            hold.reserve(len(content))
+            media_type = mesh.GLB_MEDIA_TYPE if format == "glb" else "application/json"
+            return PartsResponse([content], media_type, settings.send_seconds)
+
+        return await hold.run(work)
 
 
 def _mesh_json(bundle: AvatarBundle) -> bytes:

@@ -75,6 +75,12 @@ def _engine(garment: BundledGarment, chunk: int) -> GarmentEngine:
 def load_avatar(place: Path, chunk: int) -> Avatar:
     """The bundle in ``place``, warm; raises CaphyError where it is broken."""
     before, started = resident_bytes(), perf_counter()
+    try:
+        place.name.encode()
+    except UnicodeEncodeError as error:
+        raise CaphyError(
+            f"{os.fsencode(place)!r}: the folder's name must be UTF-8, as it goes into addresses; rename it"
+        ) from error
     version = _version(place)
     bundle = read_bundle(place)
     try:

@@ -48,11 +48,11 @@ class Client:
 
     def avatars(self) -> list[dict[str, Any]]:
         """What the service offers."""
-        return json.loads(self._ask("GET", "/avatars"))
+        return self._table("/avatars", list)
 
     def describe(self, avatar: str) -> dict[str, Any]:
         """One avatar: garments, joints, licence, provenance, metrics."""
-        return json.loads(self._ask("GET", f"/avatars/{quote(avatar, safe='')}"))
+        return self._table(f"/avatars/{quote(avatar, safe='')}", dict)
 
     def pelvis(self, avatar: str) -> np.ndarray:
         """Where the avatar's pelvis joint rests (3,) [m]: what the translations that travel refer to."""
@@ -118,6 +118,17 @@ class Client:
         answered = decode_response(self._ask("POST", path, body))
         return replace(answered, conditioning=None if self._told in ("", OFF) else json.loads(self._told))
 
+    def _table(self, path: str, kind: type) -> Any:
+        """What the service says in JSON."""
+        content = self._ask("GET", path)
+        try:
+            told = json.loads(content)
+        except ValueError:
+            told = None
+        if not isinstance(told, kind) or (told and not _is_caphys(told)):
+            raise CaphyError(f"{self._url}{path}: what answers there is not 'caphy serve': {content[:40]!r}")
+        return told
+
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
@@ -151,6 +162,12 @@ class Client:
                 raise
             return self._exchange(method, path, body)
         return response, response.read()
+
+
+def _is_caphys(told: Any) -> bool:
+    """Whether this can be an avatar, or a list of avatars."""
+    each = told[0] if isinstance(told, list) else told
+    return isinstance(each, dict) and {"id", "fps", "garments"} <= set(each)
 
 
 def _detail(content: bytes) -> str:

@@ -28,7 +28,8 @@ def listen(settings: Settings) -> socket.socket:
     host, port = settings.host, settings.port
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
+        both = host == "::"  # all of this machine's addresses, those of IPv4 as well
+        listener = socket.create_server((host, port), family=family, backlog=BACKLOG, dualstack_ipv6=both)
     except OSError as error:
         reason = error.strerror or error
         raise CaphyError(f"cannot listen on {host}, port {port} ({reason}); choose another with --port") from error

@@ -16,7 +16,10 @@ def add_health(app: FastAPI) -> None:
         """The process answers."""
         return {"status": "ok", "version": caphy.__version__}
 
-    @app.get("/ready", responses={503: {"description": "avatars are still loading"}})
+    @app.get(
+        "/ready",
+        responses={503: {"description": "avatars are still loading", "content": {"application/problem+json": {}}}},
+    )
     async def ready() -> dict[str, str]:
         """Avatars are loaded and warm."""
         if not app.state.library.avatars:

@@ -27,6 +27,14 @@ def onto_huge_pages() -> int:
     return sum(size for start, size in regions if advise(start, size, _COLLAPSE) == 0)
 
 
+def return_freed() -> None:
+    """Give memory that was freed back to the system, which the allocator of glibc keeps; others keep less or none."""
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (OSError, AttributeError):
+        return
+
+
 def _own_regions() -> Iterator[tuple[int, int]]:
     """Address and size of the whole huge pages in writable memory that no file stands behind."""
     with open("/proc/self/maps", encoding="ascii", errors="replace") as maps:

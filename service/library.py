@@ -11,6 +11,7 @@ import anyio.to_thread
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST
 from service.avatars import Avatar, bundle_places, load_avatar
+from service.huge_pages import return_freed
 from service.metrics import Metrics
 
 log = logging.getLogger("caphy.service")
@@ -50,7 +51,8 @@ class Library:
             if signature and signature != self._seen.get(name):
                 self._load(place, signature)
         missing = set(self.avatars) - set(places)
-        for name in missing & self._missing:
+        gone = missing & self._missing
+        for name in () if gone == set(self.avatars) else gone:  # what is there instead is broken
             log.info("avatar withdrawn: its bundle is gone", extra={"avatar": name})
             self.avatars = {key: avatar for key, avatar in self.avatars.items() if key != name}
             self._seen.pop(name, None)
@@ -80,6 +82,9 @@ class Library:
         facts = {"avatar": place.name, "version": avatar.version, "seconds": round(avatar.loaded_seconds, 3)}
         log.info("avatar loaded", extra={**facts, "megabytes": round(avatar.loaded_bytes / 1e6, 1)})
         self.avatars = {**self.avatars, place.name: avatar}
+        if serving is not None:
+            del serving
+            return_freed()
         self._metrics.avatar_loads.labels(place.name, "loaded").inc()
         self._metrics.avatar_bytes.labels(place.name).set(avatar.loaded_bytes)
         return None

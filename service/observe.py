@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 from time import perf_counter
@@ -58,6 +59,11 @@ class Observed:
 
         try:
             await self._app(scope, receive, noting)
+        except asyncio.CancelledError:  # the time that a stop leaves to what is in flight is over
+            if not answering:
+                status = 503
+                stopped = problem_response(503, "the service stops; send it again", {"retry-after": "1"}, scope["path"])
+                await stopped(scope, receive, noting)
         except Exception:
             log.exception("%s %s failed", scope["method"], scope["path"][:200])
             if answering:

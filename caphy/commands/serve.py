@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging.config
+import os
 import signal
 import socket
 import sys
@@ -58,8 +59,15 @@ def _serve(settings: Settings) -> None:
     app.state.library.load()
     listener = listen(settings)
     _say(settings, listener, make_report(app.state.library.avatars))
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # uvicorn finishes its work, then hands the signal on
+    signal.signal(signal.SIGTERM, lambda *_: _leave())  # uvicorn finishes its work, then hands the signal on
     make_server(app, settings).run(sockets=[listener])
+
+
+def _leave() -> None:
+    """End at once: threads that still compute what was cut off would be waited for."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def _serve_by_workers(settings: Settings, listener: socket.socket) -> None:

@@ -19,6 +19,9 @@ from service.clients import given
 from service.clients.stream import FINAL, SCHEMES, refusal, web_socket
 from service.stream.messages import Poses, Rate, Reset, encode_client
 
+PAGES = {"http": "http", "https": "https", "ws": "http", "wss": "https"}
+"""Of a service's address, and of its pages'."""
+
 
 class FeedClient:
     """One sender; not for several threads at once.
@@ -29,13 +32,13 @@ class FeedClient:
     def __init__(self, url: str, avatar: str, feed: str, *, fps: float = 30.0, key: str | None = None) -> None:
         parts = given.address(url, SCHEMES)
         query = urlencode({"avatar": avatar, "feed": feed})
-        self.page = urlunsplit((parts.scheme, parts.netloc, f"{parts.path.rstrip('/')}/", query, ""))
+        self.page = urlunsplit((PAGES[parts.scheme], parts.netloc, f"{parts.path.rstrip('/')}/", query, ""))
         """The page's address that shows this feed."""
         self._address = web_socket(url, f"/avatars/{quote(avatar, safe='')}/feeds/{quote(feed, safe='')}/send")
         headers, fps = given.headers("authorization", "Bearer ", key), given.rate(fps)
         self._number = 0
         try:
-            opening = connect(self._address, compression=None, additional_headers=headers)
+            opening = connect(self._address, compression=None, additional_headers=headers, proxy=None)
             self._socket = opening.__enter__()  # and not with: it outlives this method
         except (OSError, InvalidHandshake, TimeoutError) as error:
             raise CaphyError(f"{self._address}: no feed ({error}); is 'caphy serve' running there?") from error

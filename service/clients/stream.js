@@ -271,8 +271,10 @@ export class GarmentStream {
   }
 
   /** Send frames of poses (165 floats each) and transl (3 floats each); returns the last one's number. On a conditioned
-   * stream `times` [s] are when they were seen, and `confidence` (55 for each, or none: all sure) how surely. */
+   * stream `times` [s] are when they were seen, and `confidence` (55 for each, or none: all sure) how surely. Of a
+   * closed stream nothing is sent or kept. */
   send(poses, transl, times, confidence) {
+    if (this.#closed) return this.#number;
     const number = this.#number + 1;
     const body = times
       ? encodeSeen(number, now(), poses, transl, times, confidence ?? new Float32Array(JOINTS * times.length).fill(1))

@@ -108,13 +108,14 @@ class StreamClient:
         self._unsaved: deque[Poses | Rate] = deque()
         self._since_saved = 0
         self._messages: deque[ServerMessage] = deque()
+        self._closed = False
         self.skipped = 0
         """Messages of poses that were lived but not answered, because newer ones came before there was a credit."""
         self.reconnections = 0
         self._welcome: Welcome
         self._socket = self._connect()
         if isinstance(state, Mapping) and state:  # in which order it goes, the first welcome said
-            self.close()
+            self._socket.close()
             self._state = given.joined(state, {g.name: g.state_size for g in self._welcome.garments})
             self._socket = self._connect()
 
@@ -135,6 +136,7 @@ class StreamClient:
         On a conditioned stream ``times`` (T,) [s] are when they were seen, and ``confidence`` how surely, of all or of
         each joint (T, 55): 0 where nobody was seen, whatever the pose holds.
         """
+        self._require_open()
         poses, transl = given.frames(poses, transl)
         message = Poses(self._number + 1, time.monotonic(), poses, transl)
         if times is not None:
@@ -151,6 +153,7 @@ class StreamClient:
     def receive(self, timeout: float | None = 10.0) -> Dressed:
         """The next answer; a credit goes back with it. Raises CaphyError after ``timeout`` seconds without one, and
         StreamRefused where a message of poses was refused; the stream goes on after that."""
+        self._require_open()
         while True:
             message = self._next(timeout)
             if isinstance(message, Dressed):
@@ -163,6 +166,7 @@ class StreamClient:
 
     def state(self, timeout: float | None = 10.0) -> dict[str, np.ndarray]:
         """The state (S,) of every garment after all poses sent so far; those that are refused have no part in it."""
+        self._require_open()
         self._send(encode_client(GetState(self._motion)))
         kept = []
         while any(isinstance(sent, Poses) for sent in self._unsaved) or not self._state.size:
@@ -176,6 +180,7 @@ class StreamClient:
 
     def reset(self) -> None:
         """The next pose starts a new motion; of the old one no meshes are given any more."""
+        self._require_open()
         self._motion += 1
         self._state = np.zeros(0, np.float32)
         self._settled = self._received = self._number
@@ -184,13 +189,19 @@ class StreamClient:
 
     def set_fps(self, fps: float) -> None:
         """The poses from here on come at ``fps`` [Hz]."""
+        self._require_open()
         message = Rate(given.rate(fps))
         self._unsaved.append(message)
         self._send(encode_client(message))
 
     def close(self) -> None:
-        """End the stream."""
+        """End the stream; nothing may be asked of it after that."""
+        self._closed = True
         self._socket.close()
+
+    def _require_open(self) -> None:
+        if self._closed:  # or a late pose would open it anew
+            raise CaphyError(f"{self._address}: this stream was closed; open another")
 
     def __enter__(self) -> StreamClient:
         return self
@@ -256,7 +267,9 @@ class StreamClient:
         end, wait = time.monotonic() + self._patience, 0.05
         while True:
             try:
-                opening = connect(self._address, compression=None, additional_headers=self._headers, max_size=None)
+                opening = connect(
+                    self._address, compression=None, additional_headers=self._headers, max_size=None, proxy=None
+                )
                 socket = opening.__enter__()  # and not with: the stream outlives this method
                 socket.send(encode_client(hello))
                 self._decoder = ServerDecoder(hello.encoding, hello.normals, conditioned=bool(hello.conditioning))

@@ -32,6 +32,17 @@ ERRORS: Final[dict[int | str, dict[str, Any]]] = {
         503: "the service is at its limit; `retry-after` says when to try again",
     }.items()
 }
+GET_ERRORS: Final[dict[int | str, dict[str, Any]]] = {status: ERRORS[status] for status in (400, 401, 404, 429, 503)}
+"""Of what has no body."""
+TENSORS: Final[dict[int | str, dict[str, Any]]] = {
+    200: {
+        "description": "tensors as JSON, or the binary extension's",
+        "content": {
+            "application/json": {},
+            "application/octet-stream": {"schema": {"type": "string", "format": "binary"}},
+        },
+    }
+}
 INFER_BODY: Final = {
     "requestBody": {
         "required": True,
@@ -68,23 +79,26 @@ async def ready(request: Request) -> JSONResponse:
     return JSONResponse({"ready": loaded}, 200 if loaded else 503)
 
 
-@router.get("/models/{model}", responses=ERRORS)
-@router.get("/models/{model}/versions/{version}", responses=ERRORS)
+@router.get("/models/{model}", responses=GET_ERRORS)
+@router.get("/models/{model}/versions/{version}", responses=GET_ERRORS)
 async def model_metadata(request: Request, model: ModelName, version: ModelVersion | None = None) -> dict[str, Any]:
     """Versions and tensors of a model."""
     return _find(request, model, version).metadata()
 
 
-@router.get("/models/{model}/ready", responses=ERRORS)
-@router.get("/models/{model}/versions/{version}/ready", responses=ERRORS)
+@router.get("/models/{model}/ready", responses=GET_ERRORS)
+@router.get("/models/{model}/versions/{version}/ready", responses=GET_ERRORS)
 async def model_ready(request: Request, model: ModelName, version: ModelVersion | None = None) -> dict[str, Any]:
     """The model is loaded and warm."""
     return {"name": _find(request, model, version).name, "ready": True}
 
 
-@router.post("/models/{model}/infer", responses=ERRORS, openapi_extra=INFER_BODY, response_class=Response)
+@router.post("/models/{model}/infer", responses=TENSORS | ERRORS, openapi_extra=INFER_BODY, response_class=Response)
 @router.post(
-    "/models/{model}/versions/{version}/infer", responses=ERRORS, openapi_extra=INFER_BODY, response_class=Response
+    "/models/{model}/versions/{version}/infer",
+    responses=TENSORS | ERRORS,
+    openapi_extra=INFER_BODY,
+    response_class=Response,
 )
 async def infer(request: Request, model: ModelName, version: ModelVersion | None = None) -> Response:
     """Vertices of the garment for poses, and the state to continue with."""

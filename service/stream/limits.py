@@ -7,6 +7,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from caphy.errors import CaphyError
 from service.settings import DAY
+from service.stream.messages import largest_seen
 
 
 class StreamLimits(BaseSettings):
@@ -31,8 +32,15 @@ class StreamLimits(BaseSettings):
 def read_limits() -> StreamLimits:
     """The limits of the environment; raises CaphyError for wrong values."""
     try:
-        return StreamLimits()
+        limits = StreamLimits()
     except ValidationError as error:
         first = error.errors()[0]
         name = "_".join(map(str, first["loc"])).upper()
         raise CaphyError(f"CAPHY_STREAM_{name}: {first['msg']}, got {first['input']!r}") from error
+    least = largest_seen(limits.max_frames)
+    if limits.max_message_bytes < least:
+        raise CaphyError(
+            f"CAPHY_STREAM_MAX_FRAMES: {limits.max_frames} frames are {least} bytes, of which a message may have "
+            f"{limits.max_message_bytes}; set CAPHY_STREAM_MAX_MESSAGE_BYTES={least}, or fewer frames"
+        )
+    return limits

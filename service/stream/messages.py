@@ -213,6 +213,11 @@ def encode_client(message: ClientMessage) -> bytes:
             return _header(Kind.GET_STATE, time=message.time)
 
 
+def largest_seen(count: int) -> int:
+    """Bytes of a message of ``count`` poses with times and confidences, which none with as many exceeds."""
+    return HEADER.size + count * (8 + 4 * (POSE_FLOATS + JOINT_COUNT))
+
+
 def decode_client(body: bytes) -> ClientMessage:
     """The client's message in ``body``; raises CaphyError where the bytes are none."""
     kind, count, number, extra, time = _read_header(body)
@@ -224,7 +229,7 @@ def decode_client(body: bytes) -> ClientMessage:
             _require_numbers(number, count)
             return Poses(number, time, *_split(np.frombuffer(body, FLOAT, offset=HEADER.size), count)[:2])
         case Kind.SEEN:
-            expected = HEADER.size + count * (8 + 4 * (POSE_FLOATS + JOINT_COUNT))
+            expected = largest_seen(count)
             _require_length(body, expected, f"{count} poses of {JOINT_COUNT} joints with times and confidence")
             _require_numbers(number, count)
             times = np.frombuffer(body, "<f8", count, HEADER.size)

@@ -25,6 +25,8 @@ MEMORY: Final = "/dev/shm"
 """A place for files where nothing else can be written, as in a container with ``--read-only``."""
 NOTES_HEADER: Final = "caphy-notes"
 SOURCE_HEADER: Final = "caphy-source"
+MOST_TOLD: Final = 4000
+"""Characters of notes, and of a source, that go into a header: clients refuse long ones."""
 
 
 def read_upload(name: str, content: bytes, bundle: AvatarBundle, fps: float | None = None) -> PoseSequence:
@@ -49,7 +51,10 @@ def read_upload(name: str, content: bytes, bundle: AvatarBundle, fps: float | No
 def frames_request(sequence: PoseSequence) -> tuple[bytes, dict[str, str]]:
     """The motion as the body of a frames request (docs/protocol.md), and headers that say where it is from."""
     body = encode_request(FramesRequest(sequence.poses, sequence.transl, sequence.fps, np.zeros(0)))
-    headers = {SOURCE_HEADER: json.dumps(sequence.source), NOTES_HEADER: json.dumps(list(sequence.notes))}
+    notes = [note[:MOST_TOLD] for note in sequence.notes]
+    while len(json.dumps(notes)) > 2 * MOST_TOLD:
+        notes.pop()
+    headers = {SOURCE_HEADER: json.dumps(sequence.source[:MOST_TOLD]), NOTES_HEADER: json.dumps(notes)}
     return body, headers
 
 

@@ -73,12 +73,12 @@ def add_viewer(app: FastAPI) -> None:
         return FileResponse(STATIC / "index.html", headers=headers)
 
     @app.get("/avatars/{avatar}/poses", responses={**POSES, **NOT_FOUND, **LIMITS}, response_class=Response)
-    def made_up(request: Request, hold: Entered, avatar: AvatarId) -> Response:
+    async def made_up(request: Request, hold: Entered, avatar: AvatarId) -> Response:
         """A made-up motion of 20 s for a first look, at the avatar's frame rate: the body of a frames request."""
         require_known(request)
         bundle = find_avatar(request, avatar).bundle
         sole = float(bundle.body.vertices[:, 1].min())
-        return _answer(request, hold, placed_on(_made_up(bundle.fps), bundle.joints, sole))
+        return await hold.run(lambda: _answer(request, hold, placed_on(_made_up(bundle.fps), bundle.joints, sole)))
 
     app.post(
         "/avatars/{avatar}/poses",
