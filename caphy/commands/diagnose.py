@@ -213,7 +213,9 @@ def _diagnose_curves(command: Diagnose, model: Model) -> None:
 
     with unfinished(command.output / UNFINISHED) as folder:
         kept = Kept(folder, command.effect_file)
-        answer = diagnose_tables(model, command.measurements, command.output, command.held_out, kept)
+        answer = diagnose_tables(model, command.measurements, command.output, command.held_out, kept, command.model)
+    for stale in (PROOF, "model.json"):  # of films, which an earlier run was of
+        (command.output / stale).unlink(missing_ok=True)
     if answer.verdict in ("named", "none of these"):
         print("\n".join(after_curves(answer.found, answer.found_used, command)))
 

@@ -74,7 +74,9 @@ def main(arguments: list[str]) -> int:
         writable_folder(command.output)
         with unfinished(command.output / UNFINISHED) as folder:
             kept = Kept(folder, command.effect_file)
-            found = refit_tables(model, command.measurements, command.output, command.held_out, command.add, kept)
+            found = refit_tables(
+                model, command.measurements, command.output, command.held_out, command.add, kept, command.model
+            )
         return 1 if command.add and not found.kept else 0
     if command.output.suffix != ".json":
         raise CaphyError(f"{command.output}: the new model must be a .json file")

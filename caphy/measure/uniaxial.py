@@ -19,6 +19,8 @@ _TRIED = np.array([[1.0, 1.0], [1.1, 1.0], [1.0, 1.1], [1.2, 0.9], [0.9, 1.2]]) 
 _SAME = 1e-3  # share of an effect's work that its strip's size may decide
 _STEP = 1e-5  # of the finite difference of the energy in stretch
 _NARROW = np.linspace(0.05, 1.6, 156)  # transverse stretches that are tried before the search is refined
+_ALIKE = np.linspace(-0.006, 0.006, 61)  # twice what the corners of measured tables are rounded over
+_APART = 1e-9  # by which each stretch lies beyond the one before, though both may be meant to be the same
 _REFINED = 40  # golden-section steps
 MATTERS = 0.03  # of the force: errors that are said to be too stiff or too soft
 STRAINS = 60
@@ -100,11 +102,19 @@ def square_cloth(side: float, density: float) -> Cloth:
     return Cloth(rest, faces, flat[faces], density, np.zeros(4), np.zeros(4))
 
 
+def transverse_stretches(even: np.ndarray, axial: np.ndarray) -> np.ndarray:
+    """Transverse stretches (N, M), rising, among which to look for the balance at axial stretches (N,): even ones, and
+    those beside each axial one, where the energy of measured tables has wells narrower than the steps of those."""
+    both = np.concatenate([np.broadcast_to(even, (len(axial), len(even))), axial[:, None] + _ALIKE], 1)
+    return np.sort(both, 1) + _APART * np.arange(both.shape[1])
+
+
 def _narrowest(energy, stretch: np.ndarray) -> np.ndarray:
     """Transverse stretches (N,) of least energy: the best of a table, refined by golden sections."""
-    table = energy(stretch[:, None], _NARROW[None])
-    best = np.clip(table.argmin(axis=1), 1, len(_NARROW) - 2)
-    low, high, ratio = _NARROW[best - 1], _NARROW[best + 1], (np.sqrt(5) - 1) / 2
+    tried = transverse_stretches(_NARROW, stretch)
+    best = np.clip(energy(stretch[:, None], tried).argmin(axis=1), 1, tried.shape[1] - 2)
+    rows, ratio = np.arange(len(best)), (np.sqrt(5) - 1) / 2
+    low, high = tried[rows, best - 1], tried[rows, best + 1]
     for _ in range(_REFINED):
         left, right = high - ratio * (high - low), low + ratio * (high - low)
         lower = energy(stretch, left) < energy(stretch, right)

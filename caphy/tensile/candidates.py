@@ -80,7 +80,7 @@ def _tables(
 ) -> np.ndarray:
     slope = np.full(len(axial), -0.3) if find_effect(name).needs_step else None
     strips = [Strip(axial, direction, side, rate, transverse) for direction in ("weft", "warp")]
-    return np.stack([strip.table(model, name, slope) for strip in strips])
+    return np.stack([strip.table(model, name, slope)[:2] for strip in strips])  # of forces
 
 
 def _alike(a: np.ndarray, b: np.ndarray) -> bool:

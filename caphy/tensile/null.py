@@ -9,6 +9,7 @@ from caphy.tensile.loadings import Loading, Tests, rows_of
 
 DRAWS = 200
 _SAFETY = 2.0  # on the null's 99 %, which few repeats know badly
+_LEAST = 1.0  # where repeats agree better than the smallest scatter that is counted with
 
 
 def outside(fit: Fit) -> bool:
@@ -38,7 +39,7 @@ def chance(bench: Bench) -> float:
     """What :func:`systematic` stays below where a model is right."""
     random = np.random.default_rng(1)
     draws = [systematic(bench, drawn(bench, random)) for _ in range(DRAWS)]
-    return _SAFETY * float(np.quantile(draws, 0.99))
+    return max(_LEAST, _SAFETY * float(np.quantile(draws, 0.99)))
 
 
 def drawn(bench: Bench, random: np.random.Generator) -> np.ndarray:

@@ -89,12 +89,13 @@ def write(
     title: str = "Tensile tests",
     since: Model | None = None,
     data: Sequence[str] = (),
+    read: Sequence[Path] = (),
 ) -> list[Path]:
     """Write diagnosis.json (refit.json), its page, and the model of each fabric; returns the paths.
 
     The models are of used cloth, which remembers the largest energy of either direction; where the first loading
     differs, ``FABRIC_first.json`` is of that. With ``since``, the model that was fitted, to tables called ``data``,
-    their history says so.
+    their history says so. No file that was ``read`` is written over.
     """
     from caphy import __version__
     from caphy.report.page.compose import tensile_page
@@ -109,7 +110,8 @@ def write(
         f"{name}.json": json.dumps(document, indent=1, allow_nan=False),
         f"{name}.html": tensile_page(title, document, {"written by": f"caphy {__version__}"}),
     }
-    slugs = _slugs(diagnosis.models)
+    mine = folder.resolve()
+    slugs = _slugs(diagnosis.models, [path.stem for path in read if path.resolve().parent == mine])
     for fabric, (first, used) in diagnosis.models.items():
         reached = max(test.reached for test in diagnosis.fits["as given"][fabric].bench.tests)
         texts[f"{slugs[fabric]}.json"] = _revised(
@@ -131,12 +133,12 @@ def _revised(model: Model, since: Model | None, note: str, data: Sequence[str]) 
     return (since if model == since else model.revised(since, note, data=data)).to_json()
 
 
-def _slugs(names: Iterable[str]) -> dict[str, str]:
-    """File names of fabrics, each its own, and none that of the answer or of another's first loading."""
+def _slugs(names: Iterable[str], others: Sequence[str] = ()) -> dict[str, str]:
+    """File names of fabrics, each its own, and none that of the answer, of another's first loading or of ``others``."""
     found: dict[str, str] = {}
     for name in names:
         plain = "".join(c if c.isalnum() else "_" for c in name).strip("_").lower() or "cloth"
-        taken = {"diagnosis", "refit", *found.values(), *(f"{slug}_first" for slug in found.values())}
+        taken = {"diagnosis", "refit", *others, *found.values(), *(f"{slug}_first" for slug in found.values())}
         slug, number = plain, 2
         while slug in taken or f"{slug}_first" in taken:
             slug, number = f"{plain}_{number}", number + 1

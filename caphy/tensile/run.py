@@ -14,9 +14,9 @@ from caphy.tensile.report import write
 
 
 def diagnose_tables(
-    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], kept: Kept
+    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], kept: Kept, file: str
 ) -> CurveDiagnosis:
-    """Diagnose a model from tables of force curves; raises :class:`caphy.errors.CaphyError`."""
+    """Diagnose a model, of a file or name, from tables of force curves; raises :class:`caphy.errors.CaphyError`."""
     from tqdm import tqdm
 
     with tqdm(desc="fits", unit="fit", leave=False) as bar:
@@ -26,16 +26,18 @@ def diagnose_tables(
             bar.set_postfix_str(what)
 
         answer = diagnose_curves(model, _curves(tables), _curves(held_out), say, kept)
-    _finish(answer, output, model, tables)
+    _finish(answer, output, model, tables, file)
     return answer
 
 
 def refit_tables(
-    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], add: Sequence[str], kept: Kept
-) -> CurveRefit:
-    """Refit a model with effects added to tables of force curves; raises :class:`caphy.errors.CaphyError`."""
+    model: Model, tables: Sequence[Path], output: Path, held_out: Sequence[Path], add: Sequence[str], kept: Kept,
+    file: str,
+) -> CurveRefit:  # fmt: skip
+    """Refit a model, of a file or name, with effects added to tables of force curves; raises
+    :class:`caphy.errors.CaphyError`."""
     found = refit_curves(model, _curves(tables), _curves(held_out), add, kept)
-    _finish(found, output, model, tables)
+    _finish(found, output, model, tables, file)
     return found
 
 
@@ -43,9 +45,9 @@ def _curves(tables: Sequence[Path]) -> list[ForceCurve]:
     return [curve for table in tables for curve in read_force_curves(table)]
 
 
-def _finish(result: CurveDiagnosis | CurveRefit, output: Path, model: Model, tables: Sequence[Path]) -> None:
+def _finish(result: CurveDiagnosis | CurveRefit, output: Path, model: Model, tables: Sequence[Path], file: str) -> None:
     title = f"Tensile tests: {', '.join(table.stem for table in tables)}"
-    paths = write(result, output, title, model, [table.stem for table in tables])
+    paths = write(result, output, title, model, [table.stem for table in tables], [Path(file)])
     cautions = result.outcome.cautions if isinstance(result, CurveRefit) else result.cautions
     print("\n".join([*result.sentences, *(f"Caution: {caution}" for caution in cautions)]))
     print("\n" + "\n".join(map(str, paths)))

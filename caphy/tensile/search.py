@@ -161,11 +161,15 @@ def numbers_of(names: Sequence[str], used: bool = False) -> tuple[Number, ...]:
 
 
 def _extended(near: Fit, bench: Bench, base: tuple[Number, ...], extra: tuple[Number, ...]) -> Fit:
-    """The fit with further numbers, from a fit with fewer. Those of the model's own that the further ones can replace
-    are held where they are, since the tests cannot tell them from these (Lame's mu from weft and warp stiffness)."""
+    """The fit with further numbers, from a fit with fewer.
+
+    Those of the model's own that the further ones can replace are held as they were given, since the tests cannot tell
+    them from these (Lame's mu from weft and warp stiffness).
+    """
     numbers, known = (*base, *extra), dict(zip(near.numbers, near.values, strict=True))
     start = np.array([known.get(number, number.start(near.bench.model)) for number in numbers])
     held = _replaced(bench.slopes(numbers, start).reshape(-1, len(numbers)), len(base))
+    start[held] = [numbers[k].start(bench.model) for k in held]  # as they were given, not as a fit without had them
     kept = [k for k in range(len(numbers)) if k not in held]
     model = changed(bench.model, [numbers[k] for k in held], start[held])
     fits = (

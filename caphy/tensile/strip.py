@@ -1,7 +1,8 @@
 """Curves of a model in tensile tests, quick enough to fit: a strip pulled one way and free to narrow.
 
-Forces of every effect are tabulated once over axial and transverse stretch and added up with the model's values; the
-transverse stretch is where the sum balances. What is linear in a coefficient is tabulated once per unit of it.
+Forces and energy of every effect are tabulated once over axial and transverse stretch and added up with the model's
+values; the transverse stretch is where the sum of energies is least and that of forces balances. What is linear in a
+coefficient is tabulated once per unit of it.
 """
 
 from __future__ import annotations
@@ -10,17 +11,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from scipy.integrate import cumulative_simpson
 
 from caphy.effects.base import Parameter, Step, lending
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.registry import find_effect
-from caphy.measure.uniaxial import ModelCurve, square_cloth
+from caphy.measure.uniaxial import ModelCurve, square_cloth, transverse_stretches
 
 NODES = 49
 """Axial strains at which curves are evaluated."""
 TRANSVERSE = np.linspace(0.05, 1.5, 146)
-"""Transverse stretches that are tabulated."""
+"""Transverse stretches that are tabulated, beside those that are nearly as large as the axial one."""
 _ROUNDS = 2
 _SLOPES = np.linspace(-1.5, 0.5, 41)  # transverse over axial stretch along a path
 _BEHIND = 1e-3  # of the stretch, where the last step of a slow loading began
@@ -28,7 +30,8 @@ RATE = 10.0
 """Of stretch [1/s] for what needs motion: so fast that dry friction does not fade, and nothing else may act."""
 
 Table = np.ndarray
-"""Force along and across per rest width [N/m] at axial and transverse stretches, (2, N, M)."""
+"""Force along and across per rest width [N/m], and the work per rest area that getting there across takes [J/m^2], but
+for a constant at each axial stretch, at axial and transverse stretches (3, N, M)."""
 
 
 @dataclass(eq=False)
@@ -39,7 +42,8 @@ class Strip:
     direction: str
     side: float = 0.1
     rate: float = RATE
-    transverse: np.ndarray = field(default_factory=lambda: TRANSVERSE)
+    transverse: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """Stretches that are tabulated, (M,) or (N, M), rising; by default :data:`TRANSVERSE` and near the axial ones."""
     _tables: dict = field(default_factory=dict, repr=False)
 
     def curve(self, model: Model, names: tuple[str, ...]) -> ModelCurve:
@@ -55,12 +59,16 @@ class Strip:
             slope = 0.5 * (slope + np.gradient(across, self.axial))
         return ModelCurve(self.axial, across - 1, force)
 
+    def __post_init__(self) -> None:
+        given = self.transverse if self.transverse.size else transverse_stretches(TRANSVERSE, 1 + self.axial)
+        self.transverse = np.broadcast_to(given, (len(self.axial), given.shape[-1]))
+
     @property
     def _shape(self) -> tuple[int, int, int]:
-        return 2, len(self.axial), len(self.transverse)
+        return 3, *self.transverse.shape
 
     def _along_path(self, model: Model, name: str, slope: np.ndarray) -> Table:
-        """Forces of an effect that needs motion on a path of slopes (N,), between tables of constant slopes."""
+        """The table of an effect that needs motion on a path of slopes (N,), between tables of constant slopes."""
         place = np.clip((slope - _SLOPES[0]) / (_SLOPES[1] - _SLOPES[0]), 0, len(_SLOPES) - 1 - 1e-9)
         low = place.astype(int)
         total = np.zeros(self._shape)
@@ -70,7 +78,7 @@ class Strip:
         return total
 
     def table(self, model: Model, name: str, slope: np.ndarray | None = None) -> Table:
-        """Forces of one effect; ``slope`` (N,): transverse over axial stretch along the path, for friction."""
+        """The table of one effect; ``slope`` (N,): transverse over axial stretch along the path, for friction."""
         effect, values = find_effect(name), model.effects[name]
         linear = [effect.parameters[key].linear for key in effect.coefficients]
         if effect.borrows or lending(effect, model.effects) or not linear or not all(linear):
@@ -104,10 +112,14 @@ class Strip:
         potential.terms = {name: potential.terms[name]}
         along, across = (torch.from_numpy(np.broadcast_to(s, self._shape[1:]).copy()) for s in self._stretches)
         x = self._positions(along, across)
-        _, forces = potential.gradient(x, self._step(x, slope))
+        energy, gradient = potential.gradient(x, self._step(x, slope))
         # Positions are those at rest times the stretches
-        weft, warp = (forces[..., :2] * self._rest[:, :2]).sum(-2).movedim(-1, 0).numpy()
-        return np.stack([weft, warp] if self.direction == "weft" else [warp, weft]) / self.side**2
+        weft, warp = (gradient[..., :2] * self._rest[:, :2]).sum(-2).movedim(-1, 0).numpy()
+        along, across = (weft, warp) if self.direction == "weft" else (warp, weft)
+        # Of elastic cloth the energy, which forces at nodes miss where it falls from one to the next at once; friction
+        # has none that would belong to a place
+        work = energy.numpy() if slope is None else cumulative_simpson(across, x=self.transverse, axis=1, initial=0)
+        return np.stack([along, across, work]) / self.side**2
 
     @property
     def _rest(self) -> torch.Tensor:
@@ -115,7 +127,7 @@ class Strip:
 
     @property
     def _stretches(self) -> tuple[np.ndarray, np.ndarray]:
-        return 1 + self.axial[:, None], self.transverse[None]
+        return 1 + self.axial[:, None], self.transverse
 
     def _positions(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
         weft, warp = (along, across) if self.direction == "weft" else (across, along)
@@ -142,19 +154,38 @@ def _unit(parameter: Parameter) -> float:
     return min(1.0, parameter.upper) if parameter.upper > 0 else max(-1.0, parameter.lower)
 
 
-def _balanced(forces: Table, transverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transverse stretch (N,) of least work and the force per width along there (N,), from parabolas of three nodes."""
-    step = transverse[1] - transverse[0]
-    along, across = forces
-    work = np.cumsum(0.5 * step * (across[:, 1:] + across[:, :-1]), axis=1)
-    best = np.clip(np.concatenate([np.zeros((len(work), 1)), work], 1).argmin(1), 1, len(transverse) - 2)
-    rows = np.arange(len(best))
-    below, here, above = (across[rows, best + k] for k in (-1, 0, 1))
-    first, second = 0.5 * (above - below), above - 2 * here + below
-    place = np.zeros(len(best))
-    for _ in range(6):
-        value, slope = here + place * (first + 0.5 * place * second), first + place * second
-        place = np.clip(place - value / np.where(np.abs(slope) > 1e-12, slope, np.inf), -1, 1)
-    low, middle, high = (along[rows, best + k] for k in (-1, 0, 1))
-    force = middle + place * (0.5 * (high - low) + 0.5 * place * (high - 2 * middle + low))
-    return transverse[best] + step * place, force
+def _balanced(table: Table, transverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Transverse stretch (N,) of least work, and the force per width along there (N,).
+
+    Between nodes the work is the cubic that has their values and their forces as slopes (Hermite), and the force along
+    a parabola of three.
+    """
+    along, across, work = table
+    rows, best = np.arange(len(work)), np.clip(work.argmin(1), 1, work.shape[1] - 2)
+    found = [
+        _least(*(each[rows, best + k] for k in (low, low + 1) for each in (transverse, work, across)))
+        for low in (-1, 0)
+    ]
+    (below, deep), (above, deeper) = found
+    at = np.where(deep < deeper, below, above)
+    x, y = (np.stack([each[rows, best + k] for k in (-1, 0, 1)]) for each in (transverse, along))
+    share = [
+        (at - x[j]) * (at - x[k]) / ((x[i] - x[j]) * (x[i] - x[k])) for i, j, k in ((0, 1, 2), (1, 0, 2), (2, 0, 1))
+    ]
+    return at, np.einsum("in,in->n", np.stack(share), y)
+
+
+def _least(
+    x: np.ndarray, work: np.ndarray, slope: np.ndarray, x1: np.ndarray, work1: np.ndarray, slope1: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the cubic between two nodes is least, and its value there (N,)."""
+    step, rise = x1 - x, work1 - work
+    cubic, square = step * (slope + slope1) - 2 * rise, 3 * rise - step * (2 * slope + slope1)
+    line = step * slope
+    root = np.sqrt(np.maximum(square**2 - 3 * cubic * line, 0.0))
+    inner = np.clip(-line / np.where(square + root > 1e-300, square + root, np.inf), 0.0, 1.0)
+    places = np.stack([np.zeros_like(inner), inner, np.ones_like(inner)])
+    values = work + places * (line + places * (square + places * cubic))
+    least = values.argmin(0)
+    rows = np.arange(len(inner))
+    return x + step * places[least, rows], values[least, rows]

@@ -84,8 +84,12 @@ def _parts(test: Tests, error: np.ndarray) -> list[tuple[str, float]]:
     force = np.stack([loading.force for loading in test.loadings])
     found = []
     for name, start, stop in _PARTS:
-        each = error[:, start:stop].mean(1)
-        share = float(each.mean() / np.nanmean(force[:, start:stop]))
+        seen = np.isfinite(force[:, start:stop])
+        some = seen.any(1)
+        if not some.any():
+            continue
+        each = (error[:, start:stop] * seen).sum(1)[some] / seen.sum(1)[some]
+        share = float(each.mean() / force[:, start:stop][seen].mean())
         sure = len(each) > 1 and abs(each.mean()) > 2 * each.std(ddof=1) / np.sqrt(len(each))
         if abs(share) > _LEAST and sure:
             found.append((name, share))
@@ -120,7 +124,7 @@ def drift(fits: Mapping[str, Fit]) -> float | None:
                 continue
             force = forces[:, shared].mean(axis=1)
             number = np.array([loading.curve.loading for loading in test.loadings], dtype=float)
-            if not abs(np.corrcoef(number[1:], force[1:])[0, 1]) > _STEADY:
+            if not np.ptp(force[1:]) or not abs(np.corrcoef(number[1:], force[1:])[0, 1]) > _STEADY:
                 return None
             slopes.append(float(np.polyfit(number, np.log(np.maximum(force, 1e-9)), 1)[0]))
     if not slopes or min(map(abs, slopes)) < _LEAST or min(slopes) * max(slopes) < 0:

@@ -14,18 +14,21 @@ from caphy.cli import main
 from caphy.effects import registry
 from caphy.effects.model import Model
 from caphy.effects.own import use_file
+from caphy.effects.presets import fabric_model
 from caphy.errors import CaphyError
 from caphy.io.measurements import ForceCurve, read_force_curves
 from caphy.kept import Kept
+from caphy.measure.uniaxial import model_curve
 from caphy.tensile import diagnose_curves, refit_curves
 from caphy.tensile.between import TOO_FEW
 from caphy.tensile.checks import usable
 from caphy.tensile.diagnosis import _verdict
 from caphy.tensile.errors import _floor
+from caphy.tensile.fit import Bench, Fit
 from caphy.tensile.loadings import prepared
 from caphy.tensile.report import _slugs, write
 from caphy.tensile.strip import Strip
-from caphy.tensile.unexplained import drift
+from caphy.tensile.unexplained import dependence, drift
 
 LAMBDA, MU, TOP = 20.0, 15.0, 0.25
 
@@ -97,13 +100,55 @@ def test_what_was_fitted_before_it_was_stopped_is_not_fitted_again(tmp_path, mon
     assert set(kept.folder.iterdir()) > after
 
 
-def test_directions_that_differ_are_found_and_their_difference_recovered():
-    """Only the difference is told: mu stands for the mean, which a pull along the threads cannot split."""
-    answer = diagnose_curves(model(), measured(Sheet(90.0, 50.0, LAMBDA), TOP, 0))
+@pytest.mark.parametrize("mu", [MU, 0.6 * MU])
+def test_directions_that_differ_are_found_beside_the_mu_that_was_given(mu):
+    """Sheets of lambda + 2 mu + 40 along the weft and lambda + 2 mu along the warp. A pull along the threads cannot
+    tell mu from a stiffness of both, so it is held: at what the user gave, or the numbers would be of another model."""
+    answer = diagnose_curves(model(lame_mu=mu), measured(Sheet(90.0, 50.0, LAMBDA), TOP, 0))
     assert answer.found == ("weft_warp_stiffness",)
     weft, warp = (number(answer, f"weft_warp_stiffness.{way}").value for way in ("weft", "warp"))
     assert weft - warp == pytest.approx(40, rel=0.1)
-    assert any("bias" in sentence and "lame_mu" in sentence for sentence in answer.ambiguity)
+    assert 0.5 * (weft + warp) == pytest.approx(20 + 2 * (MU - mu), abs=2.5)
+    assert answer.models["cloth"][0].effects["strain_stvk"]["lame_mu"] == mu
+    assert any("bias" in sentence and "lame_mu is held" in sentence for sentence in answer.ambiguity)
+
+
+def test_a_measured_fabric_is_right_of_its_own_curve():
+    """Pulled along the warp, its energy has a cliff where it is stretched alike both ways."""
+    fabric, curves = fabric_model("gray-interlock"), []
+    random, strain = np.random.default_rng(0), np.linspace(0, 0.2, 80)
+    for direction in ("weft", "warp"):
+        told = model_curve(fabric, strain, direction)
+        curves += [
+            ForceCurve("interlock", direction, k, strain, told.transverse, told.force * (1 + 0.02 * random.normal()))
+            for k in range(1, 5)
+        ]
+    assert diagnose_curves(fabric, curves).verdict == "nothing"
+
+
+def test_repeats_that_agree_exactly_accuse_nobody():
+    """What they differ by is then the least that is counted with, 1 % of the force, and not nothing."""
+    exact = [
+        replace(curve, loading=k) for curve in measured(isotropic(), TOP, loadings=1, scatter=0.0) for k in (1, 2, 3)
+    ]
+    assert diagnose_curves(model(), exact).verdict == "nothing"
+
+
+@pytest.mark.parametrize("rows", [200, 12])
+def test_how_much_too_soft_does_not_depend_on_how_often_was_sampled(rows):
+    """Cloth 25 % stiffer than the model, which so lacks 20 % of the force at every strain."""
+    strain, stiffer = np.linspace(0, TOP, rows), Sheet(*(1.25 * k for k in (LAMBDA + 2 * MU, LAMBDA + 2 * MU, LAMBDA)))
+    curves = [
+        ForceCurve("cloth", way, k, strain, narrow, force * (1 + 0.002 * k))
+        for way in ("weft", "warp")
+        for force, narrow in [stiffer.curve(strain, way)]
+        for k in (1, 2, 3)
+    ]
+    bench = Bench.of(model(), prepared(curves)[0]["cloth"], frozenset({"strain_stvk"}), Kept())
+    residual = bench.residual(bench.curves((), np.zeros(0)))
+    told = dependence({"cloth": Fit(bench, (), np.zeros(0), residual, np.zeros((*residual.shape, 0)))}).sentences
+    assert len(told) == 2
+    assert all(sentence.count("20 % too soft") == 3 for sentence in told)
 
 
 def test_dry_friction_is_found():
@@ -532,6 +577,16 @@ def test_a_comparison_says_that_it_leaves_out_what_needs_motion(tmp_path, capsys
     (tmp_path / "m.json").write_text(model().with_effect("hysteresis", friction=300.0).to_json())
     assert main(["compare", str(tmp_path / "m.json"), str(table), "-o", str(tmp_path / "out")]) == 0
     assert "as if each strain were held: hysteresis (caphy diagnose and caphy refit count" in capsys.readouterr().out
+
+
+def test_a_diagnosis_of_tables_writes_over_no_model_that_it_read(tmp_path, capsys):
+    """The user's model has the name that the fitted one would get."""
+    mine = tmp_path / "cloth.json"
+    mine.write_text(model().to_json())
+    before = mine.read_bytes()
+    write(diagnose_curves(model(), measured(isotropic(fourth=1500.0), TOP, 1)), tmp_path, read=[mine])
+    assert mine.read_bytes() == before
+    assert "strain_stiffening" in Model.load(tmp_path / "cloth_2.json").effects
 
 
 def test_models_of_used_cloth_remember_and_those_of_an_earlier_answer_go(tmp_path):
