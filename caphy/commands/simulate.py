@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from caphy.effects.potential import Potential
     from caphy.solve.body_motion import BodyMotion
     from caphy.solve.integrators import State
+    from caphy.solve.newton import Report
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,8 @@ def _simulate(command: Simulate, folder: Path) -> None:
     tell_other_body(garment, body.rest(betas)[1])
     potential = Potential(model, Cloth.of(garment, model.density))
     print(f"{garment.name}: {len(garment.vertices)} vertices, {len(poses)} frames at {poses.fps:g} fps; dressing ...")
-    start = _dressed(potential, motion, kept)
+    _require_mass(potential)
+    start, begun = _dressed(potential, motion, kept)
     with tqdm(total=len(poses), unit="frame") as bar:
         trajectory = simulate(
             potential,
@@ -105,6 +107,7 @@ def _simulate(command: Simulate, folder: Path) -> None:
             progress=lambda done, total: _show(bar, done),
             kept=kept,
         )
+    trajectory = replace(trajectory, reports=(begun, *trajectory.reports[1:]))
     trajectory.save(command.out)
     _report(command, trajectory, motion)
     if command.render is not None:
@@ -113,12 +116,33 @@ def _simulate(command: Simulate, folder: Path) -> None:
         print("pictures come with --render sheet.png")
 
 
-def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> State:
-    """Where the motion starts; said where the solver did not converge on the way there."""
+def _require_mass(potential: Potential) -> None:
+    """Raise :class:`CaphyError` where what a garment has too much of, by its model, is more than its cloth."""
+    import torch
+
+    from caphy.effects.mass import Mass
+
+    rest, cloth = torch.as_tensor(potential.cloth.vertices), potential.cloth
+    mass, loads = torch.as_tensor(cloth.mass).clone(), []
+    for name, term in potential.terms.items():
+        if isinstance(term.effect, Mass):
+            elements = potential.elements(term, rest, None, None)
+            mass.index_add_(0, term.index.reshape(-1), term.effect.mass(elements, term.values))
+            loads.append(name)
+    if not (mass > 0).all():
+        lightest = int(mass.argmin())
+        raise CaphyError(
+            f"the mass of every vertex must be positive, but vertex {lightest} has {mass[lightest]:.3g} kg of "
+            f"{cloth.mass[lightest]:.3g} kg of cloth by {' and '.join(loads)}; change their numbers in the model"
+        )
+
+
+def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> tuple[State, tuple[Report, ...]]:
+    """Where the motion starts, and how the last step there ended; said where the solver did not converge on the way."""
     import torch
 
     from caphy.solve.integrators import State
-    from caphy.solve.newton import Newton
+    from caphy.solve.newton import Newton, Report
     from caphy.solve.preroll import dressed
 
     key = kept.key("dressed", potential.model, potential.cloth, motion.body, motion.betas, motion.garment, motion.poses)
@@ -127,6 +151,7 @@ def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> State:
         found = {
             "x": state.x.numpy(),
             "v": state.v.numpy(),
+            **{f"last_{each.name}": np.array([getattr(r, each.name) for r in reports[-1]]) for each in fields(Report)},
             "converged": np.array([all(report.converged for report in frame) for frame in reports]),
             "residual": np.array([max(report.residual for report in frame) for frame in reports]),
         }
@@ -137,7 +162,8 @@ def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> State:
             f"dressing: {failed} of {len(found['converged'])} frames on the way to the start did not converge; largest "
             f"force left {found['residual'].max():.1e} N. What the first frames show may come from there"
         )
-    return State(0.0, torch.from_numpy(found["x"]), torch.from_numpy(found["v"]))
+    told = zip(*(found[f"last_{each.name}"].tolist() for each in fields(Report)), strict=True)
+    return State(0.0, torch.from_numpy(found["x"]), torch.from_numpy(found["v"])), tuple(Report(*one) for one in told)
 
 
 def _show(bar, done: int) -> None:
@@ -156,11 +182,17 @@ def _model(command: Simulate):
     from caphy.effects.own import use_file
     from caphy.effects.presets import fabric_model, snug_model
 
-    for file in command.effect_file:
-        use_file(file)
+    own = [name for file in command.effect_file for name in use_file(file)]
     if command.model is not None:
-        return Model.load(command.model)
-    return snug_model() if command.fabric is None else fabric_model(command.fabric)
+        model = Model.load(command.model)
+    else:
+        model = snug_model() if command.fabric is None else fabric_model(command.fabric)
+    if own and not set(own) & set(model.effects):
+        raise CaphyError(
+            f"{' and '.join(map(str, command.effect_file))}: the model has no {' or '.join(own)}, so it would not act; "
+            "give a model that has it with --model"
+        )
+    return model
 
 
 def _report(command: Simulate, trajectory, motion) -> None:

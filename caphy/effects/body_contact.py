@@ -20,7 +20,8 @@ class BodyContact(Effect):
     every mesh.
 
     Inside the body, where d exceeds the distance and the layer, the energy goes on along its tangent: the push is that
-    at the skin. A cube would let the few vertices caught where limb and trunk overlap drown everything else.
+    at the skin, which grows with the square of the distance: with none there would be no contact. A cube would let the
+    few vertices caught where limb and trunk overlap drown everything else.
 
     The default stiffness balances 300 Pa 1 mm below the contact distance: a cloth of 0.2 kg/m^2 weighs 2 Pa, and
     one stretched by 20 N/m over a limb of 7 cm radius presses with 300 Pa. SNUG's 250 N/m^2 per vertex is
@@ -34,7 +35,12 @@ class BodyContact(Effect):
     parameters = {
         "stiffness": Parameter(1e8, "N/m^4", 0.0, 1e12, doc="pressure per squared depth, over three"),
         "distance": Parameter(
-            0.004, "m", 0.0, 0.05, linear=False, doc="distance below which the body pushes; the cloth rests just inside"
+            0.004,
+            "m",
+            5e-4,
+            0.05,
+            linear=False,
+            doc="distance below which the body pushes; the cloth rests just inside",
         ),
     }
     reference = "Santesteban, Otaduy, Casas, SNUG, CVPR 2022, eq. 10; CaPhy eq. 11 with the sign put right"

@@ -129,6 +129,8 @@ class Model:
         """Inverse of :meth:`to_json`; ``source`` names the file in errors."""
         try:
             data = json.loads(text, object_pairs_hook=_each_once)
+            if not isinstance(data, dict):
+                raise TypeError("it is no object in braces")
             unknown = sorted(set(data) - _KEYS)
             if unknown and "format" not in data:  # with one it is a document that is a model as well
                 raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(_KEYS))}")
@@ -139,6 +141,10 @@ class Model:
                 raise TypeError(f"density_kg_per_m2 must be a number, got {json.dumps(density)}")
             if density > DENSEST:
                 raise ValueError(f"density_kg_per_m2 must not be over {DENSEST:g}, got {density:g}; is it in g/m^2?")
+            if not isinstance(data["effects"], dict):
+                raise TypeError(f"effects must be an object, got {json.dumps(data['effects'])[:60]}")
+            if not isinstance(data.get("history", []), list):
+                raise TypeError(f"history must be a list, got {json.dumps(data['history'])[:60]}")
             for name, values in data["effects"].items():
                 if not isinstance(values, dict):
                     raise TypeError(f"the parameters of {name} must be an object, got {json.dumps(values)}")

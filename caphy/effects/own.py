@@ -35,7 +35,8 @@ def use_file(path: Path) -> list[str]:
 def _try(name: str, path: Path) -> None:
     effect, where = find_effect(name), f"{path}: {name}"
     advice = f"see caphy effects check --effect-file {path}"
-    if "finite" in effect.lacks:
+    if "finite" in effect.lacks:  # it does nothing to this cloth
+        _try_derivatives(name, where, advice)
         return
     cloth = irregular_cloth()
     at, rest = moment(cloth), torch.as_tensor(cloth.vertices)
@@ -63,10 +64,6 @@ def _try(name: str, path: Path) -> None:
                 f"write (dot(v, v) + 1e-12) ** 1.25 for dot(v, v) ** 1.25; {advice}"
             )
     _try_derivatives(name, where, advice)
-    try:
-        linear_together(name)  # or numbers, tables of tensile tests among them, would be of another physics
-    except AssertionError as error:
-        raise CaphyError(f"{where}: {error}; {advice}") from error
     _try_projection(potential, name, at, where, advice)
 
 
@@ -82,6 +79,10 @@ def _try_derivatives(name: str, where: str, advice: str) -> None:
                 f"{where} must have a gradient and a Hessian, its own or those of a class that it inherits from, that "
                 f"are the derivatives of its energy: {error}; {advice}"
             ) from error
+    try:
+        linear_together(name)  # or numbers, tables of tensile tests among them, would be of another physics
+    except AssertionError as error:
+        raise CaphyError(f"{where}: {error}; {advice}") from error
 
 
 def _try_projection(potential: Potential, name: str, at: Moment, where: str, advice: str) -> None:

@@ -76,6 +76,8 @@ def _check(effect: type[Effect], path: Path, beside: Set[str]) -> None:
     where = f"{path}: {effect.__name__}"
     _check_declared(effect, where)
     for key, declared in effect.parameters.items():
+        if not (isinstance(key, str) and key.isidentifier()):
+            raise CaphyError(f"{where}: names of parameters must be letters, digits and _, got {key!r}")
         _check_parameter(f"{where}: parameter {key}", declared)
     if effect.refines is not None and effect.refines not in {*_installed(), *_from_files, *beside} - {effect.name}:
         raise CaphyError(f"{where}: refines must name an effect that there is, got {effect.refines!r}")

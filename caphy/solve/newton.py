@@ -14,7 +14,7 @@ from caphy.conventions import GRAVITY
 from caphy.effects.base import BodyState, Step
 from caphy.effects.body_contact import BodyContact, braked
 from caphy.effects.potential import Potential
-from caphy.effects.registry import file_of
+from caphy.effects.registry import file_of, find_effect
 from caphy.errors import Diverged
 from caphy.solve.assembly import Hessian
 from caphy.solve.factorize import Factor
@@ -374,11 +374,24 @@ class Newton:
             if factor is not None:
                 return factor, damping
             if damping > _HARDEST:
-                raise Diverged(
-                    "forces must have a finite slope where their energy is finite, but have none here: look for a root "
-                    "or a quotient of nothing in effects of your own (caphy effects check); check pose and garment"
-                )
+                raise Diverged(self._why(values))
             damping = max(10 * damping, 1e-3)
+
+    def _why(self, values: np.ndarray) -> str:
+        """Why no damping is enough, in words."""
+        if np.isfinite(values).all():
+            negative = [
+                f"{name}.{key}"
+                for name, given in self.potential.model.effects.items()
+                for key, value in given.items()
+                if key in find_effect(name).coefficients and not np.ndim(value) and value < 0
+            ]
+            of = f" (it has a negative {' and '.join(negative)})" if negative else ""
+            return f"the energy falls without bound: no stiffness or mass of the model may outweigh the rest{of}"
+        return (
+            "forces must have a finite slope where their energy is finite, but have none here: look for a root or a "
+            "quotient of nothing in effects of your own (caphy effects check); check pose and garment"
+        )
 
     def _search(
         self, here: _Point, direction: np.ndarray, fraction: float, step: Step | None

@@ -37,7 +37,8 @@ class Trajectory:
         positions: (T, V, 3) [m]; frame 0 is the state the simulation started from.
         velocities: (T, V, 3) [m/s].
         fps: frames per second [Hz].
-        reports: of every minimisation, one tuple for each frame but the first.
+        reports: of every minimisation, one tuple for each frame; of the first, of the last step that led there, empty
+            where that is not known.
     """
 
     positions: np.ndarray
@@ -52,17 +53,17 @@ class Trajectory:
     @property
     def converged(self) -> np.ndarray:
         """Whether every minimisation of each frame converged, (T,)."""
-        return np.array([True, *(all(report.converged for report in frame) for frame in self.reports)])
+        return np.array([all(report.converged for report in frame) for frame in self.reports])
 
     @property
     def iterations(self) -> np.ndarray:
         """Newton iterations of each frame, (T,)."""
-        return np.array([0, *(sum(report.iterations for report in frame) for frame in self.reports)])
+        return np.array([sum(report.iterations for report in frame) for frame in self.reports])
 
     @property
     def residual(self) -> np.ndarray:
         """Largest force left unbalanced in each frame (T,) [N]."""
-        return np.array([0.0, *(max(report.residual for report in frame) for frame in self.reports)])
+        return np.array([max((report.residual for report in frame), default=0.0) for frame in self.reports])
 
     def save(self, path: str | Path) -> None:
         """Write an npz without pickles, atomically; positions and velocities as float32."""
@@ -197,7 +198,7 @@ def simulate(
             progress(frames.stop, len(motion))
     positions = torch.stack([state.x for state in states]).numpy()
     velocities = torch.stack([state.v for state in states]).numpy()
-    return Trajectory(positions, velocities, motion.fps, tuple(reports))
+    return Trajectory(positions, velocities, motion.fps, ((), *reports))
 
 
 def _started(kept: Kept, world: str, newton: Newton, motion: BodyMotion) -> State:

@@ -29,6 +29,8 @@ from caphy.effects.scaffold import write_scaffold
 from caphy.effects.sources import sources
 from caphy.effects.trial import irregular_cloth, moment
 from caphy.errors import CaphyError, Diverged, EffectFailed
+from caphy.io.poses import write_poses
+from caphy.io.procedural import procedural_motion
 from caphy.kept import Kept
 from caphy.solve.newton import Newton
 
@@ -222,6 +224,41 @@ def test_derivatives_of_something_else_are_refused(tmp_path, name):
         use_file(path)
     path.write_text(path.read_text().replace("10 * super()", "super()"))
     assert use_file(path) == ["ten_drag"]
+
+
+def test_names_of_parameters_have_no_dots(tmp_path):
+    """By which those that other effects lend are told."""
+    path = tmp_path / "mine.py"
+    path.write_text(WIND.replace("coefficient", "co.efficient"))
+    with pytest.raises(CaphyError, match=r"names of parameters must be letters, digits and _, got 'co\.efficient'"):
+        register_file(path)
+
+
+def test_what_does_nothing_to_a_small_cloth_still_has_derivatives_of_its_own(tmp_path):
+    """That it is called idle there must not hide that it is not."""
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from caphy.effects.air_drag_normal import AirDragNormal\n\n\n"
+        "class Ten(AirDragNormal):\n"
+        '    """Ten times the drag, E = 10 dt c A / 2 (v.n)^2 [J] per face."""\n\n'
+        '    name = "ten_drag"\n    lacks = {"finite": "acts on hems alone"}\n\n'
+        "    def energy(self, e, p):\n        return 10 * super().energy(e, p)\n"
+    )
+    with pytest.raises(CaphyError, match=r"mine\.py: ten_drag must have a gradient and a Hessian"):
+        use_file(path)
+
+
+def test_an_effect_that_the_model_lacks_is_not_simulated_without_a_word(tmp_path, capsys):
+    """It would be registered, and the garment moved without it."""
+    made, poses, path = tmp_path / "shorts.npz", tmp_path / "walk.npz", _written(tmp_path / "mine.py")
+    assert main(["garment", "make", "shorts", "--edge-length", "0.05", "-o", str(made)]) == 0
+    write_poses(procedural_motion(0, 0.1), poses)
+    words = ["simulate", str(made), str(poses), "-o", str(tmp_path / "o.npz"), "--effect-file", str(path)]
+    assert main(words) == 2
+    assert "mine.py: the model has no my_wind, so it would not act" in capsys.readouterr().err
+    with_it = tmp_path / "model.json"
+    with_it.write_text(snug_model().with_effect("my_wind").to_json())
+    assert main([*words, "--model", str(with_it), "--seconds", "0.03"]) == 0
 
 
 def test_what_is_no_number_in_fast_motion_is_named(tmp_path):

@@ -6,9 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
+from caphy.effects.base import BodyState
 from caphy.effects.model import Model
+from caphy.effects.potential import Potential
 from caphy.effects.presets import fabric_model, snug_model
+from caphy.effects.trial import irregular_cloth, moment
 from caphy.errors import CaphyError
 from caphy.material.fabrics import fabric, fabric_names
 
@@ -96,3 +100,34 @@ def test_fabric_models_carry_the_measurement(name: str) -> None:
     assert model.density == measured.density
     assert (model.effects["strain_measured"]["stretching"] == measured.stretching).all()
     assert (model.effects["bending_measured"]["bending"] == measured.bending).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[1, 2]", "it is no object in braces"),
+        ('{"density_kg_per_m2": 0.2, "effects": ["gravity"]}', r"effects must be an object, got \["),
+        ('{"density_kg_per_m2": 0.2, "effects": {}, "history": 5}', "history must be a list, got 5"),
+    ],
+)
+def test_json_of_another_shape_is_told_so(text, says):
+    with pytest.raises(CaphyError, match=f"not a physics model .*{says}"):
+        Model.from_json(text)
+
+
+def test_contact_cannot_be_taken_away_by_its_distance():
+    """The push grows with the square of the distance: of none there would be none, at any depth."""
+    with pytest.raises(CaphyError, match="distance"):
+        Model(0.2, {"body_contact": {"distance": 0.0}})
+
+
+@pytest.mark.parametrize("thickness", [-0.02, -0.01, -0.004])
+def test_contact_nearer_than_its_distance_is_still_contact(thickness):
+    """30 mm inside the body: contact of 4 mm begins 4 - t mm from the skin, and pushes where that is passed."""
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    up = torch.zeros_like(at.x) + torch.tensor([0.0, 1.0, 0.0], dtype=at.x.dtype)
+    inside = BodyState(at.x + 0.03 * up, up, torch.zeros_like(at.x), at.x)
+    model = Model(cloth.density, {"body_contact": {}, "contact_thickness": {"thickness": thickness}})
+    _, gradient = Potential(model, cloth).gradient(at.x, at.step, inside)
+    assert float(gradient[:, 1].max()) < 0

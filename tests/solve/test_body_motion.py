@@ -14,9 +14,9 @@ from caphy.io.poses import PoseSequence
 from caphy.kept import Kept
 from caphy.measure.mesh_body import MeshBody
 from caphy.solve.body_motion import BodyMotion
-from caphy.solve.newton import Newton
+from caphy.solve.newton import Newton, Report
 from caphy.solve.preroll import preroll_poses
-from caphy.solve.rollout import AT_ONCE, State, simulate
+from caphy.solve.rollout import AT_ONCE, State, Trajectory, simulate
 from caphy.solve.statics import drape_on_body
 
 DENSITY = 0.2
@@ -191,3 +191,18 @@ def test_preroll_arrives_with_the_motion():
     np.testing.assert_allclose(way.poses[0, 1:], 0, atol=1e-9)
     np.testing.assert_allclose(way.poses[0, 0], way.poses[-1, 0], atol=0.5)
     np.testing.assert_allclose(np.diff(way.transl, axis=0), np.broadcast_to([0.05, 0, 0], (30, 3)), atol=1e-12)
+
+
+def test_the_first_frame_is_as_good_as_the_step_that_led_there(tmp_path):
+    """Of a start that is given nothing is known, and the first frame counts as it is."""
+    ended = Report(False, 200, 26.0, "too many iterations"), Report(True, 3, 1e-9, "converged")
+    still = np.zeros((2, 4, 3))
+    failed = Trajectory(still, still, 30.0, (ended, ended[1:]))
+    assert (failed.converged.tolist(), failed.iterations.tolist(), failed.residual.tolist()) == (
+        [False, True], [203, 3], [26.0, 1e-9],
+    )  # fmt: skip
+    failed.save(tmp_path / "o.npz")
+    with np.load(tmp_path / "o.npz") as saved:
+        assert saved["converged"].tolist() == [False, True] and saved["residual"][0] == 26
+    given = Trajectory(still, still, 30.0, ((), ended[1:]))
+    assert given.converged.all() and given.residual[0] == 0

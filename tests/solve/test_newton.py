@@ -224,3 +224,13 @@ def test_a_slope_that_is_no_number_is_named_and_not_gone_along(sheet, monkeypatc
         newton.minimise(1.1 * x, None if statics else Step.implicit_euler(1 / 30, x, x))
     with pytest.raises(Diverged, match="finite slope"):
         newton.factorize(x, None)
+
+
+def test_an_energy_that_falls_without_bound_is_said_to(sheet):
+    """More negative stiffness of the threads than the cloth has: nothing is amiss with its derivatives."""
+    cloth = sheet(0.4, 0.4, 5, 5)
+    model = Model(0.2, ACTING | {"weft_warp_stiffness": {"weft": -1e4, "warp": -1e4}})
+    x = torch.from_numpy(cloth.vertices)
+    shaken = x + 0.01 * torch.from_numpy(np.random.default_rng(0).normal(size=x.shape))
+    with pytest.raises(Diverged, match=r"falls without bound: .* negative weft_warp_stiffness\.weft and weft_warp"):
+        Newton(Potential(model, cloth)).minimise(shaken, None)
