@@ -125,7 +125,7 @@ class Client:
             told = json.loads(content)
         except ValueError:
             told = None
-        if not isinstance(told, kind) or (told and not _is_caphys(told)):
+        if not isinstance(told, kind) or not (told == [] or _is_caphys(told)):
             raise CaphyError(f"{self._url}{path}: what answers there is not 'caphy serve': {content[:40]!r}")
         return told
 

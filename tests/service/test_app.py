@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import struct
 
@@ -14,6 +15,7 @@ from pydantic import ValidationError
 from caphy.errors import CaphyError
 from service.app import create_app
 from service.frames import same_rate
+from service.observe import Observed
 from service.protocol import MEDIA_TYPE, FramesRequest, decode_response, encode_request
 from service.settings import Settings, read_settings
 
@@ -360,3 +362,44 @@ def test_without_that_no_other_page_may(http, motion):
 def test_origins_that_are_none_are_refused(origins):
     with pytest.raises(CaphyError, match=r"CAPHY_ORIGINS: .*a scheme and a host"):
         read_settings(origins=origins)
+
+
+@pytest.mark.parametrize("path", ["/", "/health", "/ready", "/v2/health/ready", "/avatars", "/avatars/shell/mesh"])
+def test_heads_are_those_of_get(http, path):
+    head, get = http.head(path), http.get(path)
+    assert head.status_code == get.status_code == 200
+    assert head.headers["content-type"] == get.headers["content-type"]
+    assert http.head(FRAMES).status_code == 405
+
+
+def test_errors_are_described_as_they_are_answered(http):
+    paths = http.get("/openapi.json").json()["paths"]
+    for path, method in ((p, m) for p, methods in paths.items() for m in methods):
+        told = paths[path][method]["responses"]
+        protocol = path == "/v2" or path.startswith("/v2/")
+        assert not (protocol and "422" in told), path
+        for status, response in told.items():
+            if status >= "400" and "content" in response:
+                assert set(response["content"]) == {f"application/{'json' if protocol else 'problem+json'}"}, path
+        probe = path in ("/health", "/ready", "/v2/health/live", "/v2/health/ready")
+        assert probe or {"401", "429", "503"} <= set(told), path
+    answered = http.get("/avatars/shell/mesh?format=usd")
+    assert (answered.status_code, answered.headers["content-type"]) == (422, "application/problem+json")
+
+
+def test_what_a_stop_cuts_off_is_told_to_come_again(avatars, motion):
+    """uvicorn cancels what is in flight when the time for that is over; a bare 500 and a traceback are no answer."""
+    app = create_app(Settings(avatars=avatars))
+
+    async def stopped(*_: object) -> None:
+        raise asyncio.CancelledError
+
+    sent: list[dict] = []
+
+    async def send(message: dict) -> None:
+        sent.append(message)
+
+    scope = {"type": "http", "method": "GET", "path": "/avatars", "headers": [], "client": ("1.2.3.4", 5)}
+    asyncio.run(Observed(stopped, app.state.metrics)(scope, stopped, send))  # pyright: ignore
+    assert sent[0]["status"] == 503
+    assert (b"retry-after", b"1") in sent[0]["headers"]

@@ -243,3 +243,37 @@ def test_settings_that_json_cannot_hold_are_told(url, motion):
 def test_parameters_that_are_none_are_told(url):
     with pytest.raises(CaphyError, match="'garments' is no parameter here; there is garment"):
         Client(url)._ask("POST", "/avatars/shell/frames?garments=tshirt", b"")
+
+
+@pytest.mark.parametrize("content", [b"<html>", b"[1]", b"{}", b'[{"name": "other"}]'])
+def test_what_is_another_service_is_told(monkeypatch, content):
+    """Another program on the port: it answers 200, with something else."""
+    client = Client("http://127.0.0.1:1")
+    monkeypatch.setattr(client, "_ask", lambda *_: content)
+    with pytest.raises(CaphyError, match="what answers there is not 'caphy serve'"):
+        client.avatars()
+    with pytest.raises(CaphyError, match="what answers there is not 'caphy serve'"):
+        client.describe("shell")
+
+
+def test_a_closed_stream_is_not_opened_anew(url, motion):
+    """By a camera's last picture, say."""
+    stream = StreamClient(url, "shell")
+    stream.send(motion.poses[0], motion.transl[0])
+    stream.close()
+    for ask in (lambda: stream.send(motion.poses[1], motion.transl[1]), stream.receive, stream.state, stream.reset):
+        with pytest.raises(CaphyError, match="this stream was closed"):
+            ask()
+    assert stream.reconnections == 0
+
+
+@pytest.mark.parametrize("scheme", ["http", "ws"])
+def test_proxies_of_the_environment_are_not_asked(url, motion, monkeypatch, scheme):
+    """As by the client of requests: the service of this machine is not behind one."""
+    for name in ("http_proxy", "https_proxy", "all_proxy"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")
+    with StreamClient(url.replace("http", scheme), "shell") as stream:
+        stream.send(motion.poses[0], motion.transl[0])
+        assert stream.receive().number == 1
+    with FeedClient(url.replace("http", scheme), "shell", "camera") as feed:
+        assert feed.page.startswith("http://")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import shutil
 import struct
 import time
@@ -22,6 +23,7 @@ from caphy.errors import CaphyError
 from caphy.io import bundle as bundles
 from caphy.io.bundle import AvatarBundle, write_bundle
 from service.app import create_app
+from service.avatars import load_avatar
 from service.library import Library
 from service.metrics import Metrics
 from service.protocol import decode_response
@@ -204,3 +206,23 @@ def test_files_of_a_bundle_are_bounded(folder, library, monkeypatch):
     monkeypatch.setattr(bundles, "MOST_BYTES", 1 << 16)
     with pytest.raises(CaphyError, match="may have 0 MiB"):
         bundles.read_bundle(folder / "shell")
+
+
+def test_a_good_avatar_is_not_withdrawn_for_a_broken_one(folder, library):
+    """The only other folder is no avatar: better the one before than none."""
+    (folder / "shell").rename(folder / "shell.away")
+    (folder / "shell.away" / "avatar.json").rename(folder / "shell.away" / "avatar.bak")
+    (folder / "bad").mkdir()
+    (folder / "bad" / "avatar.json").write_text("{}")
+    for _ in range(4):
+        library.look()
+    assert list(library.avatars) == ["shell"]
+
+
+def test_a_folder_whose_name_no_address_can_hold_is_refused(folder, library):
+    """Answers, metrics and logs would all fail on it."""
+    shutil.copytree(folder / "shell", Path(os.fsdecode(os.fsencode(folder) + b"/caf\xe9")))
+    library.look()
+    assert list(library.avatars) == ["shell"]
+    with pytest.raises(CaphyError, match="folder's name must be UTF-8"):
+        load_avatar(next(path for path in folder.iterdir() if path.name.startswith("caf")), 8)

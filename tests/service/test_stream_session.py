@@ -12,7 +12,7 @@ from service.avatars import Avatar
 from service.encodings import Encoding
 from service.metrics import Metrics, Stages
 from service.stream.clock import CausalClock
-from service.stream.limits import StreamLimits
+from service.stream.limits import StreamLimits, read_limits
 from service.stream.messages import Credit, Dressed, GetState, Hello, Poses, Rate, Reset, ServerDecoder, State
 from service.stream.scheduler import Member, advance
 from service.stream.session import QUEUE, Session
@@ -329,3 +329,11 @@ def test_poses_that_cannot_be_used_leave_the_stream_as_it_was(avatar, motion, wh
     first, second = client.run()
     same(first, whole, 0)
     same(second, whole, 1)
+
+
+def test_frames_that_no_message_could_hold_are_not_promised(monkeypatch):
+    monkeypatch.setenv("CAPHY_STREAM_MAX_FRAMES", "200")
+    with pytest.raises(CaphyError, match=r"200 frames are \d+ bytes, .*; set CAPHY_STREAM_MAX_MESSAGE_BYTES=\d+"):
+        read_limits()
+    monkeypatch.setenv("CAPHY_STREAM_MAX_MESSAGE_BYTES", str(1 << 20))
+    assert read_limits().max_frames == 200

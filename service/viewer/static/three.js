@@ -1,4 +1,4 @@
-/* built from sources e1512a6e7e61089e8752af25f3510504c9331cde80e47d56ce449f570fcd4bc3 */
+/* built from sources 190ca11853f6f0c8a6d3dc0c19cc974c98480d2caddb196d7a0f8880a9e9a531 */
 /**
  * @license
  * Copyright 2010-2026 Three.js Authors
