@@ -9,6 +9,7 @@ import numpy as np
 
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
+from caphy.effects.units import dimensions
 from caphy.tensile.errors import held_out_residual
 from caphy.tensile.fit import Bench, Fit
 from caphy.tensile.loadings import Tests, rows_of
@@ -16,6 +17,7 @@ from caphy.tensile.numbers import Number
 from caphy.tensile.search import Search, numbers_of
 
 _STRAIN = 0.1  # at which the stiffness of fabrics is compared
+_STIFFNESS = dimensions("N/m")
 
 
 def stiffness(bench: Bench) -> float:
@@ -50,7 +52,7 @@ def _mean(models: Sequence[tuple[Model, float]]) -> Model:
 
 
 def _scaled(value: np.ndarray, unit: str, factor: float) -> np.ndarray:
-    return np.asarray(value) * (factor if unit == "N/m" else 1.0)
+    return np.asarray(value) * (factor if dimensions(unit) == _STIFFNESS else 1.0)
 
 
 def _free(density: float, effects: dict) -> Model:

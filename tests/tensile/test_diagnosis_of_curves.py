@@ -28,6 +28,7 @@ from caphy.tensile.fit import Bench, Fit
 from caphy.tensile.loadings import prepared
 from caphy.tensile.report import _slugs, write
 from caphy.tensile.strip import Strip
+from caphy.tensile.transfer import _scaled
 from caphy.tensile.unexplained import dependence, drift
 
 LAMBDA, MU, TOP = 20.0, 15.0, 0.25
@@ -618,3 +619,8 @@ def test_numbers_that_an_effect_wants_fitted_too_are_fitted_to_tables(tmp_path, 
     told = {c.name: c for c in answer.outcome.coefficients}
     added = told["threads.weft"].value
     assert told["threads.ratio"].value * added - added == pytest.approx(40, rel=0.1)  # mu may take what both share
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("N/m", 3.0), ("J/m^2", 3.0), ("kg/s^2", 3.0), ("N", 1.0), ("1", 1.0)])
+def test_what_is_a_stiffness_scales_with_it_whatever_its_unit_is_called(unit, factor):
+    np.testing.assert_array_equal(_scaled(np.array([2.0, -1.0]), unit, 3.0), factor * np.array([2.0, -1.0]))
