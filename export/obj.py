@@ -25,7 +25,8 @@ def obj_bytes(name: str, vertices: np.ndarray, faces: np.ndarray) -> bytes:
 def write_obj_sequence(motion: DressedMotion, folder: Path) -> list[Path]:
     """``body_0000.obj`` and so on, one file per mesh and frame; returns them.
 
-    Raises :class:`CaphyError` where the folder would hold frames of another motion as well.
+    Where that is stopped, frames that were not there before are removed again: some are no motion. Raises
+    :class:`CaphyError` where the folder would hold frames of another motion as well.
     """
     digits = max(4, len(str(len(motion) - 1)))
     frames = {f"{name}_{frame:0{digits}}.obj" for name, *_ in motion.meshes() for frame in range(len(motion))}
@@ -33,9 +34,15 @@ def write_obj_sequence(motion: DressedMotion, folder: Path) -> list[Path]:
     others = [file for file in there if re.fullmatch(r".+_\d{4,}\.obj", file) and file not in frames]
     if others:
         raise CaphyError(f"{folder}: holds {len(others)} frames of another motion ({others[0]}); give an empty folder")
-    written = []
-    for name, mesh, vertices in motion.meshes():
-        for frame, points in enumerate(vertices):
-            written.append(folder / f"{name}_{frame:0{digits}}.obj")
-            write_bytes(written[-1], obj_bytes(name, points, mesh.faces))
+    written: list[Path] = []
+    try:
+        for name, mesh, vertices in motion.meshes():
+            for frame, points in enumerate(vertices):
+                written.append(folder / f"{name}_{frame:0{digits}}.obj")
+                write_bytes(written[-1], obj_bytes(name, points, mesh.faces))
+    except BaseException:
+        for path in written:
+            if path.name not in there:
+                path.unlink(missing_ok=True)
+        raise
     return written

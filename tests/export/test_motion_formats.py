@@ -14,6 +14,7 @@ from pxr import Usd, UsdGeom, UsdValidation
 from caphy.cli import main
 from caphy.errors import CaphyError
 from caphy.io.bundle import write_bundle
+from caphy.io.places import write_bytes
 from caphy.io.poses import write_poses
 from export.motion import dressed_motion
 from export.obj import write_obj_sequence
@@ -119,6 +120,23 @@ def test_frames_of_another_motion_are_not_mixed_in(dressed, bundle, motion, tmp_
     write_obj_sequence(dressed, tmp_path)
     with pytest.raises(CaphyError, match=r"holds 9 frames of another motion \(body_0003.obj\)"):
         write_obj_sequence(dressed_motion(bundle, motion[:3]), tmp_path)
+
+
+def test_frames_of_a_motion_that_was_stopped_go(bundle, motion, tmp_path, monkeypatch):
+    """Half a motion looks like a motion; what else lies there stays."""
+    dressed, left = dressed_motion(bundle, motion[:3]), [5]
+    (tmp_path / "notes.txt").write_text("mine")
+
+    def stopped(*written) -> None:
+        left[0] -= 1
+        if not left[0]:
+            raise KeyboardInterrupt
+        write_bytes(*written)
+
+    monkeypatch.setattr("export.obj.write_bytes", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        write_obj_sequence(dressed, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize(
