@@ -133,7 +133,7 @@ def started(model: Model, fabrics: Fabrics, seen: Candidates, kept: Kept | None 
 
 def split(curves: Sequence[ForceCurve], held_out: Sequence[ForceCurve]) -> tuple[Fabrics, Fabrics, list[str]]:
     """Tests to learn from and tests to foretell, binned alike."""
-    everything, cautions = prepared([*curves, *held_out])
+    everything, cautions = prepared(curves, held_out)
     away = {curve.name for curve in held_out}
     learning, held = {}, {}
     for fabric, tests in everything.items():

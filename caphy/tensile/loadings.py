@@ -87,13 +87,20 @@ def rows_of(tests: Sequence[Tests]) -> list[tuple[Tests, Loading]]:
     return [(test, loading) for test in tests for loading in test.loadings]
 
 
-def prepared(curves: Sequence[ForceCurve]) -> tuple[Fabrics, list[str]]:
-    """Tests by fabric, and what was left out or doubtful in sentences; raises :class:`CaphyError` on bad input."""
-    kept, cautions = usable(curves)
+def prepared(curves: Sequence[ForceCurve], held_out: Sequence[ForceCurve] = ()) -> tuple[Fabrics, list[str]]:
+    """Tests by fabric, and what was left out or doubtful in sentences; raises :class:`CaphyError` on bad input.
+
+    How far strains are looked at, and how much repeats scatter, is told by ``curves``; by those ``held_out`` only where
+    there is no other of their fabric and direction, or no other repeats at all.
+    """
+    kept, cautions = usable([*curves, *held_out])
+    away = {curve.name for curve in held_out}
     groups: dict[tuple[str, str], list[ForceCurve]] = {}
     for curve in kept:
         groups.setdefault((curve.fabric, curve.direction), []).append(curve)
-    shares = [s for part in groups.values() if (s := _share(part)) is not None]
+    telling = {key: [curve for curve in part if curve.name not in away] or part for key, part in groups.items()}
+    known, every = ([s for part in of.values() if (s := _share(part)) is not None] for of in (telling, groups))
+    shares = known or every
     if not shares:
         raise CaphyError(
             f"{kept[0].source or 'force curves'}: at least one fabric needs two or more loadings of one direction: "
@@ -101,7 +108,7 @@ def prepared(curves: Sequence[ForceCurve]) -> tuple[Fabrics, list[str]]:
         )
     fabrics: Fabrics = {}
     for (fabric, direction), part in groups.items():
-        tests = _tests(fabric, direction, part, float(np.median(shares)))
+        tests = _tests(fabric, direction, part, telling[fabric, direction], float(np.median(shares)))
         fabrics.setdefault(fabric, []).append(tests)
         cautions += _beyond(tests, part)
     return fabrics, cautions
@@ -119,12 +126,15 @@ def _beyond(tests: Tests, curves: Sequence[ForceCurve]) -> list[str]:
     ]
 
 
-def _tests(fabric: str, direction: str, curves: Sequence[ForceCurve], share: float) -> Tests:
-    top = float(np.median([curve.axial.max() for curve in curves]))
+def _tests(
+    fabric: str, direction: str, curves: Sequence[ForceCurve], telling: Sequence[ForceCurve], share: float
+) -> Tests:
+    top = float(np.median([curve.axial.max() for curve in telling]))
     edges = np.linspace(_FIRST * top, top, BINS + 1)
     axial = np.linspace(0, top, NODES)
     loadings = tuple(_binned(curve, edges, axial) for curve in curves)
-    return Tests(fabric, direction, axial, loadings, _scatter(loadings, share))
+    known = [loading for loading, curve in zip(loadings, curves, strict=True) if any(curve is one for one in telling)]
+    return Tests(fabric, direction, axial, loadings, _scatter(known, share))
 
 
 def _binned(curve: ForceCurve, edges: np.ndarray, axial: np.ndarray) -> Loading:

@@ -624,3 +624,13 @@ def test_numbers_that_an_effect_wants_fitted_too_are_fitted_to_tables(tmp_path, 
 @pytest.mark.parametrize(("unit", "factor"), [("N/m", 3.0), ("J/m^2", 3.0), ("kg/s^2", 3.0), ("N", 1.0), ("1", 1.0)])
 def test_what_is_a_stiffness_scales_with_it_whatever_its_unit_is_called(unit, factor):
     np.testing.assert_array_equal(_scaled(np.array([2.0, -1.0]), unit, 3.0), factor * np.array([2.0, -1.0]))
+
+
+def test_what_is_held_out_does_not_tell_how_much_repeats_scatter():
+    """Nor how far they are pulled: a fourth loading, much stiffer and farther, leaves the others' bins as they are."""
+    curves = [curve for curve in measured(isotropic(), TOP, loadings=3) if curve.direction == "weft"]
+    odd = replace(curves[0], loading=4, axial=1.2 * curves[0].axial, force=1.5 * curves[0].force)
+    (alone,), (beside,) = prepared(curves)[0]["cloth"], prepared(curves, [odd])[0]["cloth"]
+    np.testing.assert_array_equal(beside.axial, alone.axial)
+    np.testing.assert_array_equal(beside.scatter, alone.scatter)
+    assert [loading.curve.loading for loading in beside.loadings] == [1, 2, 3, 4]
