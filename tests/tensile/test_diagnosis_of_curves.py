@@ -197,8 +197,11 @@ def test_held_out_loadings_are_foretold():
     answer = diagnose_curves(model(), [c for c in curves if c not in away], away, said.append)
     assert {"its own parameters on cloth", "strain_stiffening on cloth"} <= set(said)
     assert [(e.direction, e.loading) for e in answer.loadings] == [("weft", 4), ("warp", 4)]
-    error = answer.loadings[0]
-    assert error.floor is not None and error.rms["with effects"] < 1.6 * error.floor < 0.3 * error.rms["as given"]
+    told = {stage: sum(e.rms[stage] for e in answer.loadings) for stage in ("as given", "with effects")}
+    floor = sum(
+        e.floor or np.nan for e in answer.loadings
+    )  # of one alone it may be met by chance
+    assert told["with effects"] < 1.6 * floor < 0.3 * told["as given"]
 
 
 def test_a_direction_that_was_not_learned_from_is_foretold_too():
