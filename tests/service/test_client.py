@@ -165,7 +165,7 @@ class Prefixed(BaseHTTPRequestHandler):
     def do_GET(self):
         self.send_response(200)
         self.end_headers()
-        self.wfile.write(json.dumps([self.path]).encode())
+        self.wfile.write(json.dumps([{"id": self.path, "fps": 30, "garments": []}]).encode())
 
     def log_message(self, *_):
         pass
@@ -176,7 +176,7 @@ def test_a_service_may_be_below_a_path():
         threading.Thread(target=server.serve_forever, daemon=True).start()
         for end in ("", "/"):
             client = Client(f"http://127.0.0.1:{server.server_port}/clothes{end}")
-            assert client.avatars() == ["/clothes/avatars"]
+            assert [avatar["id"] for avatar in client.avatars()] == ["/clothes/avatars"]
             client.close()
         server.shutdown()
 

@@ -41,11 +41,14 @@ def test_simulate_says_that_its_start_did_not_converge(box_body, mat, tmp_path, 
         return x, replace(report, converged=False, residual=0.25)
 
     monkeypatch.setattr(Newton, "minimise", gives_up)
-    first = _dressed(potential_of(mat), motion, Kept(tmp_path))
+    first, ended = _dressed(potential_of(mat), motion, Kept(tmp_path))
+    assert ended and not any(report.converged for report in ended)
     said = capsys.readouterr().out
     assert "30 of 30 frames on the way to the start did not converge; largest force left 2.5e-01 N" in said
     monkeypatch.setattr(Newton, "minimise", minimise)
-    np.testing.assert_array_equal(_dressed(potential_of(mat), motion, Kept(tmp_path)).x, first.x)
+    again, told = _dressed(potential_of(mat), motion, Kept(tmp_path))
+    np.testing.assert_array_equal(again.x, first.x)
+    assert told == ended
     assert capsys.readouterr().out == said
 
 
