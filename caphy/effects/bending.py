@@ -18,8 +18,9 @@ class Bending(Hinge):
     l is the edge's rest length, A the rest area of its two faces, theta the signed dihedral angle, so that folds
     sewn or pressed into the template stay. On a cylinder of curvature kappa this is k kappa^2 / 8 per area, if
     triangles are equilateral or it bends along the threads of a grid: k is four times the flexural rigidity of plates.
-    k follows the threads that bend: an edge at angle phi from the weft has k = weft sin(phi)^2 + warp cos(phi)^2, since
-    the cloth bends across the edge. Default: SNUG's cotton.
+    A strip with free sides bends across as well (equilateral triangles) or twists (a grid), and resists bending by 8/9
+    or 4/5 of that. k follows the threads that bend: an edge at angle phi from the weft has k = weft sin(phi)^2 + warp
+    cos(phi)^2, since the cloth bends across the edge. Default: SNUG's cotton.
     """
 
     name = "bending"

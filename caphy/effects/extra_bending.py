@@ -13,8 +13,9 @@ from caphy.effects.hinge import Hinge, turn
 class ExtraBending(Hinge):
     """Bending stiffness added in all directions, E = k l^2 / (8 A) (theta - theta_rest)^2 [J] per interior edge.
 
-    k is as bending's, four times the flexural rigidity of plate theory. Negative values soften; the sum with the
-    model's bending must stay positive, which is for the model to keep.
+    k is as bending's, four times the flexural rigidity of plate theory on a cylinder; a strip with free sides resists
+    bending by 8/9 or 4/5 of that. Negative values soften; the sum with the model's bending must stay positive, which is
+    for the model to keep.
     """
 
     name = "extra_bending"
