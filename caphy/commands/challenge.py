@@ -81,7 +81,7 @@ def new(command: New) -> None:
     names = sorted(name for name, hidden in HIDDEN.items() if hidden.acts_in(command.scene))
     hidden = HIDDEN[names[int(np.random.default_rng([command.seed, 7]).integers(len(names)))]]
     with unfinished(command.output / UNFINISHED) as films:
-        with Progress("simulating") as progress:
+        with Progress("simulating", "motion") as progress:
             world = make(
                 command.scene,
                 hidden,

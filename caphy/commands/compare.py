@@ -211,10 +211,10 @@ class Progress:
 
     How many parts there will be nobody knows: it says how long all have taken."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, unit: str = "window") -> None:
         from tqdm import tqdm
 
-        self._bar = tqdm(total=1, desc=name, unit="window", leave=False)
+        self._bar = tqdm(total=1, desc=name, unit=unit, leave=False)
         self._began = self._last = time.time()
         self._what = ""
 

@@ -66,7 +66,8 @@ def main(arguments: list[str]) -> None:
         single = _single_frames(client, avatar, motion[:60])
         client.close()
 
-    print(f"\nmilliseconds per frame, {len(vertices)} garments, {sum(v.shape[1] for v in vertices.values())} vertices:")
+    garments = f"{len(vertices)} garment{'s' * (len(vertices) != 1)}"
+    print(f"\nmilliseconds per frame, {garments}, {sum(v.shape[1] for v in vertices.values())} vertices:")
     print(f"  {'':28}{'inference':>12}{'round trip':>12}")
     print(f"  {'whole motion at once':28}{inference:12.2f}{whole:12.2f}")
     print(f"  {'one frame at a time, median':28}{single[0]:12.2f}{single[1]:12.2f}")

@@ -142,7 +142,7 @@ def _histories(path: Path) -> list[str]:
 def _history(model: Model) -> list[str]:
     from caphy.effects.history import history_rows
 
-    effects = f"{', '.join(model.effects)}; {model.density:.4g} kg/m^2"
+    effects = f"{', '.join(model.effects) or 'no effects'}; {model.density:.4g} kg/m^2"
     if not model.history:
         return [effects, "no revisions: it is as it was first written"]
     return [effects, *_lines(history_rows(model.history))]
@@ -152,7 +152,7 @@ def _effect_rows() -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("group", "effect", "element", "acts", "parameters", "what it is")]
     groups = get_args(Group)
     for name, effect in sorted(registered_effects().items(), key=lambda item: (groups.index(item[1].group), item[0])):
-        acts = "in motion" if effect.needs_step else "always"
+        acts = " ".join(["in motion"] * effect.needs_step + ["on a body"] * effect.needs_body) or "always"
         summary = inspect.getdoc(inspect.getmodule(effect)) or inspect.cleandoc(effect.__doc__ or "") or "-"
         parameters = ", ".join(f"{key} [{parameter.unit}]" for key, parameter in effect.parameters.items())
         rows.append((effect.group, name, effect.element, acts, parameters or "-", summary.splitlines()[0]))

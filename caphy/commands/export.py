@@ -181,7 +181,7 @@ def _export_runs(command: Export) -> None:
     )
     write_bundle(bundle, command.out)
     size = sum(path.stat().st_size for path in command.out.iterdir())
-    print(f"{command.out}: avatar of {len(garments)} garments, {size / 1e6:.1f} MB")
+    print(f"{command.out}: avatar of {len(garments)} garment{'s' * (len(garments) != 1)}, {size / 1e6:.1f} MB")
     print(f"next: {following('demo', '--avatar', command.out)}")
 
 

@@ -101,6 +101,17 @@ def test_the_same_challenge_made_again_keeps_its_diagnosis(tmp_path):
         assert not _is_there(other)
 
 
+def test_what_is_simulated_is_counted_in_motions(tmp_path, capsys, monkeypatch):
+    def made(*_, progress, **__):
+        progress(1, 9)
+        raise CaphyError("enough")
+
+    monkeypatch.setattr("caphy.challenge.world.make", made)
+    assert main(["challenge", "new", "--seed", "1", "-o", str(tmp_path / "new")]) == 2
+    said = capsys.readouterr().err
+    assert "motion/s" in said and "window" not in said
+
+
 def test_the_same_challenge_made_again_keeps_its_hash(tmp_path, capsys, monkeypatch):
     """A salt that changes would change what was printed when the challenge was made."""
     truth = {**ANSWER, "seed": 1, "scene": "square", "noise_mm": 1.0, "points": None}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
 from caphy.cli import main
 from caphy.effects import registry
+from caphy.effects.model import Model
 from caphy.effects.registry import registered_effects
 from caphy.material.fabrics import fabric_names
 
@@ -41,6 +43,29 @@ def test_list_names_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
     assert {row.split("  ")[0]: 0 for row in rows}.keys() == {effect.group for effect in registered_effects().values()}
     for name, effect in registered_effects().items():
         assert any(row.startswith(effect.group) and f" {name} " in row for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "acts"),
+    [
+        ("bending", "always"),
+        ("inertia", "in motion"),
+        ("attachment", "on a body"),
+        ("body_contact", "on a body"),
+        ("contact_thickness", "on a body"),
+        ("body_friction", "in motion on a body"),
+    ],
+)
+def test_list_says_when_an_effect_acts(name: str, acts: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["effects", "list"]) == 0
+    (row,) = (row for row in capsys.readouterr().out.splitlines() if row.split()[1] == name)
+    assert re.split("  +", row)[3] == acts
+
+
+def test_history_of_a_model_without_effects_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "model.json").write_text(Model(0.2, {}).to_json())
+    assert main(["effects", "history", str(tmp_path / "model.json")]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "no effects; 0.2 kg/m^2"
 
 
 def test_list_names_every_fabric(capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,7 +37,8 @@ def test_two_runs_become_one_avatar(tmp_path, capsys):
     write_poses(wiggle(1.0), tmp_path / "walk.npz")
     out = tmp_path / "avatars" / "mine"
     assert main(["export", *runs, "-o", str(out), "--motions", str(tmp_path / "walk.npz")]) == 0, capsys.readouterr()
-    assert "caphy demo --avatar" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "avatar of 2 garments, " in said and "caphy demo --avatar" in said
     bundle = read_bundle(out)
     assert (bundle.name, [g.name for g in bundle.garments]) == ("mine", ["trousers", "tshirt"])
     metrics = bundle.metrics["tshirt"]
@@ -79,10 +80,11 @@ def test_the_avatar_that_comes_along_has_a_name(tmp_path, monkeypatch):
     assert [g.name for g in read_bundle(tmp_path / "copy").garments] == ["trousers", "tshirt"]
 
 
-def test_the_heads_error_is_stated_on_motions_held_out_of_training(tmp_path):
+def test_the_heads_error_is_stated_on_motions_held_out_of_training(tmp_path, capsys):
     write_poses(wiggle(1.0), tmp_path / "held.npz")
     run = run_folder(tmp_path, "tshirt")
     assert main(["export", str(run), "-o", str(tmp_path / "out")]) == 0
+    assert "avatar of 1 garment, " in capsys.readouterr().out
     bundle = read_bundle(tmp_path / "out")
     assert bundle.provenance["head_error_measured_on"] == ["held.npz#15-30"]
 
