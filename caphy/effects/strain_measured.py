@@ -29,7 +29,8 @@ _POLYNOMIAL = np.linalg.inv(np.vander(_NODES, increasing=True))
 class StrainMeasured(Membrane):
     """Orthotropic membrane with measured stiffness, E = A/2 (K0 Guu^2 + 2 K1 Guu Gvv + K2 Gvv^2 + 2 K3 Guv^2) [J].
 
-    The measurement is a stress, S = k(G) G, with k from :func:`caphy.material.fabrics.stretching_stiffness`. With k
+    The measurement is a stress, S = k(G) G, with k linear in the largest principal stretch between a table's row near
+    zero strain and those at 16.7 %, linear in that stretch's direction between these, and never negative. With k
     depending on strain that is not the gradient of 1/2 G k(G) G, and of no other energy either. Frozen k (as ARCSim
     has it) would give a force without energy, on which no line search and no loss can stand. So the energy is the
     measured work along straight loading from rest to G,

@@ -1,4 +1,4 @@
-"""The ten measured fabrics and the elastic constants read from their tables.
+"""The ten measured fabrics, and what is read from their tables.
 
 Measured by Wang, O'Brien and Ramamoorthi (SIGGRAPH 2011); see ``caphy/data/fabrics/README.md`` for the layout of the
 tables and their caveats.
@@ -33,7 +33,8 @@ class Fabric:
     Attributes:
         name: as in :func:`fabric_names`.
         density: area density [kg/m^2].
-        stretching: stretching table [N/m], (6, 4); see :func:`stretching_stiffness`.
+        stretching: stretching table [N/m], (6, 4): C_uuuu, C_uuvv, C_vvvv, C_uv of half the stiffness, in rows near
+            zero strain and at 16.7 % stretch in five directions.
         bending: bending table [N m], (3, 5); see :func:`bending_stiffness`.
         source: who measured it.
     """
@@ -58,27 +59,6 @@ def fabric(name: str) -> Fabric:
     return Fabric(name, data["density"], np.array(data["stretching"]), np.array(data["bending"]), data["source"])
 
 
-def stretching_stiffness(table: np.ndarray, strain: np.ndarray) -> np.ndarray:
-    """Stiffness (..., 4) [N/m] of the tensor C_uuuu, C_uuvv, C_vvvv, C_uv at Green strains (..., 3): uu, vv, uv.
-
-    As published and as ARCSim evaluates it: linear in the largest principal stretch between the row near zero strain
-    and the rows at 16.7 %, linear in that stretch's direction between those, negative entries taken as zero, doubled.
-    The shear strain enters by its size: the fabric is orthotropic. In equal biaxial stretch the direction is the weft.
-    """
-    uu, vv, uv = np.moveaxis(np.asarray(strain, dtype=float), -1, 0)
-    uv = np.abs(uv)
-    mean, half = 0.5 * (uu + vv), 0.5 * (uu - vv)
-    radius = np.hypot(half, uv)
-    stretch = np.sqrt(np.maximum(1 + 2 * (mean + radius), 0))
-    angle = 0.5 * np.arctan2(uv, half)
-    along = np.clip(angle / np.pi * 8, 0, 4 - 1e-6)
-    share = np.clip((stretch - 1) / STRETCH_SAMPLED, 0, 1 - 1e-6)[..., None]
-    node = along.astype(int)
-    between = (along - node)[..., None]
-    sampled = (1 - between) * table[1 + node] + between * table[2 + node]
-    return LOADED_TWICE * np.maximum((1 - share) * table[0] + share * sampled, 0)
-
-
 def bending_stiffness(table: np.ndarray, angle: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     """Bending stiffness (...,) [N m] at an edge's angle from the weft [rad] and a curvature [1/m].
 
@@ -92,16 +72,3 @@ def bending_stiffness(table: np.ndarray, angle: np.ndarray, curvature: np.ndarra
     s, t = row - i, column - j
     left, right = (1 - s) * table[i, j] + s * table[i + 1, j], (1 - s) * table[i, j + 1] + s * table[i + 1, j + 1]
     return np.maximum((1 - t) * left + t * right, 0)
-
-
-def isotropic_lame(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The Lame parameters lambda, mu (...,) [N/m] of the isotropic sheet nearest to tensors (..., 4).
-
-    CaPhy speaks of lambda(G) and mu(G) without saying how an orthotropic tensor becomes two numbers. This is its mean
-    over all directions of the sheet, the isotropic part of the tensor, which is also the nearest isotropic one in the
-    Frobenius norm: with the bulk term K = (C_uuuu + 2 C_uuvv + C_vvvv) / 4 = lambda + mu and the mean of both shears,
-    (C_uuuu - 2 C_uuvv + C_vvvv) / 8 + C_uv / 4 = mu, where C_uv = 2 mu (energy C_uv G_uv^2).
-    """
-    uuuu, uuvv, vvvv, uv = np.moveaxis(np.asarray(stiffness, dtype=float), -1, 0)
-    mu = (uuuu - 2 * uuvv + vvvv) / 8 + uv / 4
-    return (uuuu + 2 * uuvv + vvvv) / 4 - mu, mu

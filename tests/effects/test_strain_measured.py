@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from published_stretching import stretching_stiffness
 
 from caphy.effects.membrane import Membrane
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.effects.strain_measured import StrainMeasured, energy_density
 from caphy.effects.trial import irregular_cloth, moment
-from caphy.material.fabrics import fabric, fabric_names, stretching_stiffness
+from caphy.material.fabrics import fabric, fabric_names
 
 
 def density(strain: np.ndarray, table: np.ndarray) -> float:

@@ -8,15 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from published_stretching import stretching_stiffness
 
 from caphy.errors import CaphyError
-from caphy.material.fabrics import (
-    bending_stiffness,
-    fabric,
-    fabric_names,
-    isotropic_lame,
-    stretching_stiffness,
-)
+from caphy.material.fabrics import bending_stiffness, fabric, fabric_names
 
 
 def test_there_are_ten_and_each_says_where_it_comes_from() -> None:
@@ -70,26 +65,3 @@ def test_bending_meets_its_table() -> None:
                 assert bending_stiffness(table, angle, -curvature) == pytest.approx(table[i, j], rel=1e-9)
     assert bending_stiffness(table, 0.0, 1000.0) == pytest.approx(table[0, 4])
     assert bending_stiffness(table, np.pi / 8, 2.5) == pytest.approx(table[:2, :2].mean())
-
-
-def test_isotropic_reading_returns_lame_parameters() -> None:
-    lam, mu = 20.9, 11.1
-    assert isotropic_lame(np.array([lam + 2 * mu, lam, lam + 2 * mu, 2 * mu])) == pytest.approx((lam, mu))
-
-
-def test_isotropic_reading_is_the_mean_over_directions() -> None:
-    """The tensor turned by every angle and averaged, as an independent plain computation."""
-    k0, k1, k2, k3 = stretching_stiffness(fabric("ivory-rib-knit").stretching, np.array([0.05, 0.05, 0.05]))
-    tensor = np.zeros((2, 2, 2, 2))
-    tensor[0, 0, 0, 0], tensor[1, 1, 1, 1] = k0, k2
-    tensor[0, 0, 1, 1] = tensor[1, 1, 0, 0] = k1
-    for i, j, k, m in ((0, 1, 0, 1), (0, 1, 1, 0), (1, 0, 0, 1), (1, 0, 1, 0)):
-        tensor[i, j, k, m] = k3 / 2
-    mean = np.zeros_like(tensor)
-    for angle in np.arange(64) * np.pi / 64:
-        r = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        mean += np.einsum("ia,jb,kc,md,abcd->ijkm", r, r, r, r, tensor) / 64
-    lam, mu = isotropic_lame(np.array([k0, k1, k2, k3]))
-    assert mean[0, 0, 1, 1] == pytest.approx(lam, rel=1e-9)
-    assert mean[0, 1, 0, 1] == pytest.approx(mu, rel=1e-9)
-    assert mean[0, 0, 0, 0] == pytest.approx(lam + 2 * mu, rel=1e-9)
