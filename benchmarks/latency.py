@@ -18,6 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+import tyro
 
 from benchmarks._straightforward import straightforward_graph
 from caphy.body.bundled import default_body
@@ -222,4 +223,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import tyro
 
 from caphy.challenge.hidden import Hidden
 from caphy.challenge.recording import record, seen_by_user
@@ -85,4 +86,4 @@ def _some(study: Study, model: Model) -> int:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -8,11 +8,12 @@ it says something else, and its borders are blurred and waver.
 
 from __future__ import annotations
 
-import sys
+from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
 
 import numpy as np
+import tyro
 
 from caphy.scan.colour_model import ColourModel
 from caphy.scan.scan import LABEL_NAMES, UNKNOWN
@@ -64,14 +65,20 @@ def _field(random: np.random.Generator, shape: tuple[int, ...], width: float) ->
     return field / field.std()
 
 
-def main(arguments: list[str]) -> None:
+@dataclass(frozen=True)
+class Options:
+    """What to look at."""
+
+    session: tyro.conf.Positional[Path]
+    """What 'caphy capture-sim' wrote."""
+    scans: int | None = None
+    """How many of its scans; all unless given."""
+
+
+def main(options: Options) -> None:
     """Print the accuracy of each parser over the scans of a session."""
-    if not arguments:
-        sys.exit("usage: python -m benchmarks.segmentation SESSION [--scans N]; make one with 'caphy capture-sim'")
-    session = Path(arguments[0])
-    most = int(arguments[arguments.index("--scans") + 1]) if "--scans" in arguments else None
-    scans = ScanSet.read(session / "scans")
-    used = range(len(scans))[:most]
+    session, scans = options.session, ScanSet.read(options.session / "scans")
+    used = range(len(scans))[: options.scans]
     colour = ColourModel.fit([scans[i] for i in used])
     rows, seconds = [], []
     for index in used:
@@ -95,4 +102,4 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(tyro.cli(Options, description=__doc__))
