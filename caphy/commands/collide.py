@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied, exporting, interrupted
+from caphy.commands.output import OUTPUT
 from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
@@ -26,7 +27,7 @@ class Collide:
     trainings: tyro.conf.Positional[tuple[Path, ...]]
     """Folders that 'caphy train' wrote, on the same body, motions and scans, the innermost garment first; a garment
     that was supervised as hidden by another comes before it in any case."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder for the fine-tuned trainings, each under its own folder's name."""
     poses: tuple[Path, ...] = ()
     """The motions that the trainings are on, pose files or folders, where they lie elsewhere by now."""

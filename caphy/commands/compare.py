@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from caphy.commands.output import OUTPUT
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder, write_text
@@ -37,7 +38,7 @@ class Compare:
     the one that comes along)."""
     measurements: tyro.conf.Positional[tuple[Path, ...]]
     """Measurements: .npz files, folders, or .csv tables of tensile tests; see docs/measurements.md."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder for the results."""
     garment: str | None = None
     """The garment's .npz where the measurement carries no rest shape; for an avatar the garment's name."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.io.places import writable_folder, write_bytes
 
@@ -33,7 +34,7 @@ class Demo:
     """A motion in any format caphy reads; a made-up one by default."""
     avatar: Path | None = None
     """An avatar bundle; by default the one that comes with the package."""
-    out: Path = Path("demo-out")
+    output: Annotated[Path, OUTPUT] = Path("demo-out")
     """Folder to write avatar.glb and sheet.png into."""
     seconds: float = 8.0
     """At most so much of the motion [s]."""
@@ -50,7 +51,7 @@ def main(arguments: list[str]) -> None:
 
     if not 0 < command.seconds < float("inf"):
         raise CaphyError(f"--seconds must be positive and finite, got {command.seconds:g}")
-    writable_folder(command.out)
+    writable_folder(command.output)
     folder = bundled(command.avatar) if command.avatar else BUNDLED_AVATARS / "default"
     bundle = read_bundle(folder)
     motion = _motion(command, bundle.fps).about(bundle.joints[0])
@@ -71,7 +72,7 @@ def main(arguments: list[str]) -> None:
     print(f"  {'':28}{'inference':>12}{'round trip':>12}")
     print(f"  {'whole motion at once':28}{inference:12.2f}{whole:12.2f}")
     print(f"  {'one frame at a time, median':28}{single[0]:12.2f}{single[1]:12.2f}")
-    _write(command.out, bundle, motion, vertices)
+    _write(command.output, bundle, motion, vertices)
     print(f"\nnext: 'caphy serve', then http://127.0.0.1:8000/ shows it moving, /docs the API; 'caphy export {folder}'")
     print("with --format glb, usd, pc2 or obj for other programs; README.md for your own poses, garments and training")
 

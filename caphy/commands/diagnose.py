@@ -13,6 +13,7 @@ import tyro
 
 from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress, load_model
+from caphy.commands.output import OUTPUT
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder, write_text
@@ -40,7 +41,7 @@ class Diagnose:
     """A physics model's JSON, "snug", or a measured fabric's name."""
     measurements: tyro.conf.Positional[tuple[Path, ...]]
     """Measurements: .npz files or folders, or .csv tables of tensile tests; see docs/measurements.md."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder for the results."""
     base: tuple[Path, ...] = ()
     """Measurements of the same cloth for which the model's effects are trusted: they fix parameters and floor."""

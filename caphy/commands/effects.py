@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from caphy.commands.following import following
+from caphy.commands.output import OUTPUT
 from caphy.effects.base import Effect, Group, needs
 from caphy.effects.registry import find_effect, register_file, registered_effects
 from caphy.effects.scaffold import write_scaffold
@@ -64,7 +65,7 @@ class New:
 
     name: Annotated[str, tyro.conf.Positional]
     """Its name, like my_effect."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, OUTPUT] = None
     """The file to write; NAME.py here if not given."""
     effect_file: EffectFiles = ()
     """Your other effects, as Python files."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class Evaluate:
 
     scans: tyro.conf.Positional[Path]
     """Folder of labelled scans with a scans.toml, the ones the run was registered from."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder that 'caphy register' filled; gets evaluation.json, evaluation.txt and evaluation/NAME.png."""
     row: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A row besides those the run holds, as NAME=FOLDER: an avatar, a folder with upper and lower, or one with seed_1

@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from caphy.commands.following import following
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST, require_place
 from caphy.io.bundled import bundled
@@ -33,7 +34,7 @@ class Export:
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Folders that 'caphy train' wrote, one per garment, innermost garment first; or one avatar bundle ("default" is
     the one that comes along)."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """The bundle to write, a folder that is replaced whole if it holds one; with --format, a file ending in .glb,
     .usdc or .usda, or a folder for pc2 or obj."""
     format: Literal["bundle", "glb", "usd", "pc2", "obj"] = "bundle"
@@ -67,7 +68,7 @@ def main(arguments: list[str]) -> None:
     if not 0 <= command.within_mm < np.inf:
         raise CaphyError(f"--within-mm must be finite and not negative, got {command.within_mm}")
     if command.format == "bundle":
-        require_place(command.out)
+        require_place(command.output)
     if again:
         _export_again(command)
     elif command.format == "bundle":
@@ -89,10 +90,10 @@ def _export_again(command: Export) -> None:
     from export.again import exported_again
 
     bundle, parities = exported_again(read_bundle(command.runs[0]))
-    write_bundle(bundle, command.out)
+    write_bundle(bundle, command.output)
     for name, parity in parities.items():
         print(f"{name}: {1e3 * parity.network:.4f} mm from the network in the graph before")
-    print(f"{command.out}: the same avatar with graphs of this version of caphy")
+    print(f"{command.output}: the same avatar with graphs of this version of caphy")
 
 
 def _export_bundle(command: Export) -> None:
@@ -102,22 +103,22 @@ def _export_bundle(command: Export) -> None:
     if len(command.runs) != 1:
         raise CaphyError(f"--format {command.format} takes one avatar bundle, got {len(command.runs)} folders")
     for form, endings in (("glb", (".glb",)), ("usd", (".usdc", ".usda", ".usd"))):
-        if command.format == form and command.out.suffix.lower() not in endings:
-            raise CaphyError(f"{command.out}: a {form.upper()} file's name must end in {' or '.join(endings)}")
+        if command.format == form and command.output.suffix.lower() not in endings:
+            raise CaphyError(f"{command.output}: a {form.upper()} file's name must end in {' or '.join(endings)}")
     bundle = read_bundle(command.runs[0])
     if command.poses is None:
         if command.format != "glb":
             raise CaphyError(f"--format {command.format} writes a motion; give one with --poses FILE")
         content = avatar_glb(bundle, 1e-3 * command.within_mm)
-        write_bytes(command.out, content)
-        print(f"{command.out}: the avatar with its blend shapes, {len(content) / 1e6:.1f} MB")
+        write_bytes(command.output, content)
+        print(f"{command.output}: the avatar with its blend shapes, {len(content) / 1e6:.1f} MB")
         return
     from caphy.io.poses import read_poses
     from export.motion import dressed_motion
 
-    (writable_file if command.format in ("glb", "usd") else writable_folder)(command.out)
+    (writable_file if command.format in ("glb", "usd") else writable_folder)(command.output)
     motion = dressed_motion(bundle, read_poses(command.poses))
-    print(f"{command.out}: {_write_motion(command, motion)}, {len(motion)} frames at {bundle.fps:g} fps")
+    print(f"{command.output}: {_write_motion(command, motion)}, {len(motion)} frames at {bundle.fps:g} fps")
 
 
 def _write_motion(command: Export, motion: DressedMotion) -> str:
@@ -126,20 +127,20 @@ def _write_motion(command: Export, motion: DressedMotion) -> str:
         from export.glb import animated_glb
 
         made = animated_glb(motion.bundle, motion.poses, motion.transl, motion.vertices)
-        write_bytes(command.out, made.content)
+        write_bytes(command.output, made.content)
         return f"animated GLB, vertices within {1e3 * max(made.errors.values()):.2f} mm of the service's"
     if command.format == "usd":
         from export.usd import write_usd
 
-        write_usd(motion, command.out)
+        write_usd(motion, command.output)
         return "USD with time samples"
     if command.format == "pc2":
         from export.pc2 import write_pc2
 
-        return f"{len(write_pc2(motion, command.out))} files, an OBJ and a PC2 point cache per mesh"
+        return f"{len(write_pc2(motion, command.output))} files, an OBJ and a PC2 point cache per mesh"
     from export.obj import write_obj_sequence
 
-    return f"{len(write_obj_sequence(motion, command.out))} OBJ files"
+    return f"{len(write_obj_sequence(motion, command.output))} OBJ files"
 
 
 def _export_runs(command: Export) -> None:
@@ -171,7 +172,7 @@ def _export_runs(command: Export) -> None:
         "garments": {run.garment.name: dict(run.provenance) for run in runs},
     }
     bundle = avatar_bundle(
-        command.out.resolve().name,
+        command.output.resolve().name,
         body,
         garments,
         fps=runs[0].network.fps,
@@ -179,10 +180,10 @@ def _export_runs(command: Export) -> None:
         licence=command.licence or BODY_LICENCE,
         provenance=provenance,
     )
-    write_bundle(bundle, command.out)
-    size = sum(path.stat().st_size for path in command.out.iterdir())
-    print(f"{command.out}: avatar of {len(garments)} garment{'s' * (len(garments) != 1)}, {size / 1e6:.1f} MB")
-    print(f"next: {following('demo', '--avatar', command.out)}")
+    write_bundle(bundle, command.output)
+    size = sum(path.stat().st_size for path in command.output.iterdir())
+    print(f"{command.output}: avatar of {len(garments)} garment{'s' * (len(garments) != 1)}, {size / 1e6:.1f} MB")
+    print(f"next: {following('demo', '--avatar', command.output)}")
 
 
 def _held_out(runs: list[Run]) -> tuple[str, ...]:

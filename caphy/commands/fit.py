@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from caphy.commands.following import following
+from caphy.commands.output import OUTPUT
 from caphy.commands.seed import require_seed
 from caphy.commands.training_options import require_device, require_positive
 from caphy.errors import CaphyError
@@ -25,7 +26,7 @@ class Fit:
 
     scans: tyro.conf.Positional[Path]
     """Folder of scans with a scans.toml; see docs/scans.md."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder of the run: gets avatar/, report.html, evaluation.json, and what every stage leaves."""
     poses: tuple[Path, ...] = ()
     """Pose files, or folders of them, whose motions the physics is learnt on; without any, motions are made."""

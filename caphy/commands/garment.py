@@ -12,6 +12,7 @@ import tyro
 
 from caphy.body.bundled import default_body
 from caphy.body.model import BodyModel
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.places import writable_file
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from caphy.garment.landmarks import Landmarks
     from caphy.garment.usermesh import UserMesh
 
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+Output = Annotated[Path, OUTPUT]
 Positional = tyro.conf.Positional
 
 Betas = tuple[float, ...]
@@ -86,7 +87,7 @@ def _maker(kind: type) -> Callable[..., None]:
     run.__doc__ = kind.__doc__
     run.__annotations__ = {
         "options": kind,
-        "output": Annotated[Path, tyro.conf.arg(aliases=["-o"], help="the garment npz to write")],
+        "output": Annotated[Output, tyro.conf.arg(help="the garment npz to write")],
         "body": Annotated[Path | None, tyro.conf.arg(help="SMPL-X-format npz; default: the bundled body")],
         "betas": Annotated[Betas, tyro.conf.arg(help="shape coefficients of the body")],
         "return": None,

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder
 from caphy.io.poses import PoseSequence, read_poses, write_poses
@@ -51,7 +52,7 @@ class Convert:
     files: Files
     """Pose files of any format caphy reads."""
     source: tyro.conf.OmitArgPrefixes[Source]
-    out: Path = Path(".")
+    output: Annotated[Path, OUTPUT] = Path(".")
     """Folder to write NAME.npz into."""
     resample: float | None = None
     """Frame rate to resample to [Hz]."""
@@ -66,7 +67,7 @@ class Condition:
     files: Files
     """Pose files of any format caphy reads, such as results of GVHMR, WHAM, 4D-Humans or TRAM."""
     source: tyro.conf.OmitArgPrefixes[Source]
-    out: Path = Path("conditioned")
+    output: Annotated[Path, OUTPUT] = Path("conditioned")
     """Folder to write NAME.npz into, y up."""
     rate: float = 30.0
     """Frame rate to write [Hz]: the avatar's."""
@@ -89,7 +90,7 @@ class Render:
     files: Files
     """Pose files of any format caphy reads."""
     source: tyro.conf.OmitArgPrefixes[Source]
-    out: Path = Path("poses.png")
+    output: Annotated[Path, OUTPUT] = Path("poses.png")
     """The PNG to write, one row per file; times are counted from the row's first frame."""
     frames: int = 8
     """Frames per row, evenly spaced in time."""
@@ -156,10 +157,10 @@ def _row(path: Path, sequence: PoseSequence, jumps: int) -> tuple[str, ...]:
 
 def _targets(command: Convert | Condition) -> list[tuple[Path, Path]]:
     """Each file, and where its new form goes."""
-    targets = [command.out / f"{path.stem}.npz" for path in command.files]
+    targets = [command.output / f"{path.stem}.npz" for path in command.files]
     if len(set(targets)) != len(targets):
-        raise CaphyError("two files have the same name; convert them into different folders with --out")
-    writable_folder(command.out)
+        raise CaphyError("two files have the same name; convert them into different folders with -o")
+    writable_folder(command.output)
     for target in targets:
         writable_file(target, inputs=command.files)
     return list(zip(command.files, targets, strict=True))
@@ -209,14 +210,14 @@ def _render(command: Render) -> None:
         raise CaphyError(
             f"a sheet has at most {LARGEST:.0e} pixels, got {pixels:.1e}; ask for fewer --frames or a smaller --size"
         )
-    writable_file(command.out, ".png", command.files)
+    writable_file(command.output, ".png", command.files)
     images, labels = [], []
     for path in command.files:
         sequence = command.source.read(path)
         at = np.linspace(0, len(sequence) - 1, command.frames).round().astype(int)
         images += [_picture(sequence, frame, command) for frame in at]
         labels += [path.stem[: command.size // 9], *(f"{frame / sequence.fps:.2f} s" for frame in at[1:])]
-    print(write_png(contact_sheet(images, command.frames, labels), command.out))
+    print(write_png(contact_sheet(images, command.frames, labels), command.output))
 
 
 def _picture(sequence: PoseSequence, frame: int, command: Render) -> np.ndarray:

@@ -14,6 +14,7 @@ from caphy.commands.before_after import before_and_after
 from caphy.commands.compare import Progress
 from caphy.commands.diagnose import physics_model, require_no_base, revised
 from caphy.commands.following import following
+from caphy.commands.output import OUTPUT
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file, writable_folder, write_text
@@ -39,7 +40,7 @@ class RefitCommand:
     """A physics model's JSON, "snug", or a measured fabric's name."""
     measurements: tyro.conf.Positional[tuple[Path, ...]]
     """Measurements: .npz files or folders, or .csv tables of tensile tests."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """The new model, a .json; for tables of tensile tests a folder."""
     add: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Effects to add; without any the model's own parameters are fitted."""

@@ -13,6 +13,7 @@ import tyro
 
 from caphy.commands.body import load_body
 from caphy.commands.other_garments import still_told
+from caphy.commands.output import OUTPUT
 from caphy.commands.seed import require_seed
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
@@ -44,7 +45,7 @@ class Body:
 
     scans: tyro.conf.Positional[Path]
     """Folder of scans with a scans.toml; see docs/scans.md."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder for body.npz, body.json, body.png and what a later run goes on from."""
     labels: Path | None = None
     """Folder of labels (NAME.npy) to use instead of the scans' own."""
@@ -63,7 +64,7 @@ class Garments:
 
     scans: tyro.conf.Positional[Path]
     """Folder of scans with a scans.toml."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """The folder that 'caphy register body' wrote; gets upper.npz, lower.npz and garments.json."""
     labels: Path | None = None
     """Folder of labels (NAME.npy) to use instead of the scans' own."""
@@ -85,7 +86,7 @@ class Points:
 
     scans: tyro.conf.Positional[Path]
     """Folder of scans with a scans.toml."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """The folder that 'caphy register body' wrote; gets subject_body.npz, points/ and split.json."""
     labels: Path | None = None
     """Folder of labels (NAME.npy) to use instead of the scans' own."""

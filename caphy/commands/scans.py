@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file
 
@@ -34,7 +36,7 @@ def check(folder: Positional[Path]) -> int:
     return 0 if len(kept) == len(scans) else 1
 
 
-def render(folder: Positional[Path], output: Path, count: int = 4) -> None:
+def render(folder: Positional[Path], output: Annotated[Path, OUTPUT], count: int = 4) -> None:
     """Picture the first scans of a folder: three sides, and the labels where there are some.
 
     Args:
@@ -55,7 +57,7 @@ def render(folder: Positional[Path], output: Path, count: int = 4) -> None:
     print(write_png(contact_sheet(images, 4, [scan.name for scan in shown for _ in range(4)]), output))
 
 
-def from_4d_dress(take: Positional[Path], output: Path, every: int = 1) -> None:
+def from_4d_dress(take: Positional[Path], output: Annotated[Path, OUTPUT], every: int = 1) -> None:
     """Convert a take of the 4D-DRESS data set, offline; its pickles may hold nothing but arrays.
 
     Args:

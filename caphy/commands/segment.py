@@ -13,6 +13,7 @@ import tyro
 
 from caphy.commands.following import following
 from caphy.commands.made_labels import MadeLabels
+from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file
 
@@ -33,7 +34,7 @@ class Segment:
 
     scans: Annotated[Path, tyro.conf.Positional]
     """Folder with a scans.toml."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=("-o",))] = None
+    output: Annotated[Path | None, OUTPUT] = None
     """Folder for the labels, one NAME.npy per scan; SCANS/labels unless given, where they are found by themselves."""
     parser: str = "colour"
     """colour: a colour model learned from the set; labels: what comes with the scans, smoothed; else an ONNX file."""
@@ -47,7 +48,7 @@ def main(arguments: list[str]) -> int:
     """Run ``caphy segment`` with the arguments after it."""
     command = tyro.cli(Segment, args=arguments, prog="caphy segment")
     failed = label(command)
-    elsewhere = () if command.out is None else ("--labels", command.out)
+    elsewhere = () if command.output is None else ("--labels", command.output)
     print(f"next: {following('register', 'body', command.scans, *elsewhere, '-o', 'run')}")
     return 1 if failed else 0
 
@@ -63,7 +64,7 @@ def label(command: Segment) -> dict[str, str]:
     if command.render is not None:
         writable_file(command.render, ".png")
     scans = ScanSet.read(command.scans)
-    out = command.out or command.scans / "labels"
+    out = command.output or command.scans / "labels"
     by_itself = out.resolve() == (scans.labels or command.scans / "labels").resolve()
     _require_apart(command, scans, out, by_itself)
     method = _method(command, scans)
@@ -80,11 +81,11 @@ def label(command: Segment) -> dict[str, str]:
 def _require_apart(command: Segment, scans: ScanSet, out: Path, by_itself: bool) -> None:
     """Raise CaphyError where labels would be read and written in one place, or be given another meaning there."""
     if command.parser == "labels" and scans.labels is not None and scans.labels.resolve() == out.resolve():
-        raise CaphyError(f"{out}: holds the labels to work on; give another folder to write into with --out")
+        raise CaphyError(f"{out}: holds the labels to work on; give another folder to write into with -o")
     if by_itself and scans.label_numbers is not None:
         raise CaphyError(
             f"{out}: the label_numbers of scans.toml would be applied to what is written there; give another folder "
-            "with --out, and the same one with --labels to what reads it"
+            "with -o, and the same one with --labels to what reads it"
         )
 
 

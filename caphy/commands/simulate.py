@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import tyro
 
+from caphy.commands.output import OUTPUT
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
 from caphy.io.places import writable_file
@@ -29,7 +30,7 @@ class Simulate:
     """A garment npz, or "tshirt" or "trousers" for the bundled ones."""
     poses: Annotated[Path, tyro.conf.Positional]
     """A pose file that 'caphy poses info' can read."""
-    out: Annotated[Path, tyro.conf.arg(aliases=("-o",))] = Path("trajectory.npz")
+    output: Annotated[Path, OUTPUT] = Path("trajectory.npz")
     """The npz to write: positions and velocities of every frame."""
     body: str = "medium"
     """The body the garment was made on: an SMPL-X-format npz, or "medium" for the bundled one."""
@@ -62,12 +63,12 @@ def main(arguments: list[str]) -> None:
         raise CaphyError(f"--seconds must be positive and finite, got {command.seconds:g}")
     read = [command.garment, command.poses, command.body, *command.effect_file]
     read += [] if command.model is None else [command.model]
-    for path, suffix in ((command.out, ".npz"), (command.render, ".png")):
+    for path, suffix in ((command.output, ".npz"), (command.render, ".png")):
         if path is not None:
             writable_file(path, suffix, read)
     if command.fabric is not None and command.model is not None:
         raise CaphyError("--fabric and --model exclude each other; give one of them")
-    with unfinished(command.out.with_suffix(f".{UNFINISHED}")) as kept:
+    with unfinished(command.output.with_suffix(f".{UNFINISHED}")) as kept:
         _simulate(command, kept)
 
 
@@ -108,7 +109,7 @@ def _simulate(command: Simulate, folder: Path) -> None:
             kept=kept,
         )
     trajectory = replace(trajectory, reports=(begun, *trajectory.reports[1:]))
-    trajectory.save(command.out)
+    trajectory.save(command.output)
     _report(command, trajectory, motion)
     if command.render is not None:
         print(_sheet(command.render, trajectory, motion))
@@ -201,7 +202,7 @@ def _report(command: Simulate, trajectory, motion) -> None:
         [motion.nearest(time, x).distance for time, x in zip(motion.times, trajectory.positions, strict=True)]
     )
     frames = trajectory.converged
-    print(f"{command.out}: {len(trajectory)} frames, {command.out.stat().st_size / 1e6:.1f} MB")
+    print(f"{command.output}: {len(trajectory)} frames, {command.output.stat().st_size / 1e6:.1f} MB")
     print(
         f"converged: {frames.sum()} of {len(frames)} frames; largest force left {trajectory.residual.max():.1e} N; "
         f"{np.median(trajectory.iterations[1:] if len(frames) > 1 else [0]):.0f} Newton iterations per frame"

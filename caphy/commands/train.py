@@ -23,6 +23,7 @@ from caphy.commands.begun import (
     require_same_motions,
     write_record,
 )
+from caphy.commands.output import OUTPUT
 from caphy.commands.seed import require_seed
 from caphy.commands.training_options import require_device, require_positive
 from caphy.errors import CaphyError
@@ -66,7 +67,7 @@ class Train:
     """Garment npz, as 'caphy garment make' writes it, or "tshirt" or "trousers" for the bundled ones."""
     poses: tyro.conf.Positional[tuple[Path, ...]]
     """Pose files, or folders of them; without any, motions are made from seeds."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, OUTPUT]
     """Folder of this training."""
     init: Path | None = None
     """Go on from this network instead of from nothing: an avatar's folder, "default" for the bundled one, or the

@@ -30,7 +30,7 @@ POSE_SUFFIXES: Final = (".npz", ".bvh", ".amc", ".pt", ".pkl", ".npy")
 RATELESS: Final = ".amc"
 _CONVERT: Final = (
     "AMC files do not say their frame rate; to use one, write it as npz with 'caphy poses convert FILE --fps RATE "
-    "--out FOLDER' (CMU recorded at 120)"
+    "-o FOLDER' (CMU recorded at 120)"
 )
 
 _MIRROR: Final = [

@@ -35,6 +35,22 @@ def test_an_option_given_twice_is_refused(again, capsys) -> None:
     assert "caphy diagnose: --base is given twice; give all its values after one --base" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "body build", "body render", "poses convert", "poses condition", "poses render", "garment make tshirt",
+        "garment from-mesh", "garment render", "register body", "register garments", "register points", "effects new",
+        "simulate", "scans render", "scans from-4d-dress", "segment", "train", "collide", "compare", "diagnose", "refit",
+        "challenge new", "evaluate", "fit", "export", "demo",
+    ],
+)  # fmt: skip
+def test_where_a_command_writes_has_the_same_names_in_all(words, capsys) -> None:
+    with pytest.raises(SystemExit):
+        main([*words.split(), "--help"])
+    told = re.findall(r"(?<= )--?o[a-z]* ", capsys.readouterr().out)
+    assert {"-o ", "--out ", "--output "} <= set(told)
+
+
 def test_they_are_all_options_with_any_number_of_values() -> None:
     sources = "\n".join(path.read_text() for path in Path(commands.__file__).parent.glob("*.py"))
     lists = re.findall(r"^    (\w+): (?:tuple\[[^\n]*, \.\.\.\]|EffectFiles) = ", sources, re.MULTILINE)

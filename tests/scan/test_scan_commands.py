@@ -119,7 +119,7 @@ def test_capture_needs_a_folder_of_poses(tmp_path, capsys):
 def test_labels_are_not_read_and_written_in_one_place(scans, tmp_path, capsys):
     assert main(["segment", str(scans)]) == 1
     assert main(["segment", str(scans), "--parser", "labels"]) == 2
-    assert "give another folder to write into with --out" in capsys.readouterr().err
+    assert "give another folder to write into with -o" in capsys.readouterr().err
     assert main(["segment", str(scans), "--parser", "labels", "--out", str(tmp_path / "smoothed")]) == 1
     assert f"next: caphy register body {scans} --labels {tmp_path / 'smoothed'} -o run" in capsys.readouterr().out
 
