@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import tyro
 
@@ -18,12 +18,12 @@ from caphy.kept import Kept
 if TYPE_CHECKING:
     from caphy.effects.model import Model
     from caphy.evaluate.dressed import Subject
-    from caphy.fabric.rounds import Fitted, Guess, Objective, Round
+    from caphy.fabric.rounds import Fitted, Guess, Round
     from caphy.fabric.stills import Worn
 
 RESULT, PAGE = "fabric.json", "fabric.html"
 TRAINED, ALTERNATED = "train", "fabric"
-KINDS = ("upper", "lower")
+KINDS: Final = ("upper", "lower")
 POINTS = 8000
 """Points of a scan that are used at most, drawn at random."""
 
@@ -42,10 +42,10 @@ class FabricCommand:
     """Weight of the upper garment's cloth [kg/m^2]; the starting fabric's unless given. Weigh it: scans cannot tell."""
     lower_density: float | None = None
     """The same of the lower garment's."""
-    garments: tuple[str, ...] = KINDS
+    garments: tuple[Literal["upper", "lower"], ...] = KINDS
     """Which to fit; those that are not worn are passed over."""
-    objective: str = "response"
-    """"response", or "force" for CaPhy's squared gradient, which noise biases (docs/fabric.md)."""
+    objective: Literal["response", "force"] = "response"
+    """What is made small: the response, or with force CaPhy's squared gradient, which noise biases (docs/fabric.md)."""
     rounds: int = 12
     """Rounds at most."""
     mesh_corrections: int = 1
@@ -116,8 +116,6 @@ def _model_file(run: Path, kind: str) -> Path:
 
 
 def _check(options: FabricCommand) -> None:
-    if options.objective not in ("response", "force"):
-        raise CaphyError(f"--objective must be response or force, got {options.objective!r}")
     for name, least in (("rounds", 1), ("scans", 3), ("steps", 1), ("alternations", 0), ("mesh_corrections", 0)):
         if getattr(options, name) < least:
             raise CaphyError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(options, name)}")
@@ -125,9 +123,6 @@ def _check(options: FabricCommand) -> None:
         value = getattr(options, name)
         if value is not None and not 0.01 <= value <= 5:
             raise CaphyError(f"--{name.replace('_', '-')} must lie in [0.01, 5] kg/m^2, got {value:g}")
-    wrong = [kind for kind in options.garments if kind not in KINDS]
-    if wrong:
-        raise CaphyError(f"--garments must be among upper and lower, got {wrong[0]!r}")
 
 
 def _base(options: FabricCommand) -> Model:
@@ -160,22 +155,21 @@ def _fit(
     from caphy.fabric.rounds import fit_fabric
 
     start, (worn, left_out) = _start(options, base, kind), _worn(options, subject, points, kind)
-    objective: Objective = "force" if options.objective == "force" else "response"
 
     def say(number: int, done: int, total: int) -> None:
         if done % 10 == 0 or done == total:
             print(f"{kind}: round {number + 1} of at most {options.rounds}, scan {done} of {total}", flush=True)
 
     guess = _network(options.run / TRAINED, subject, kind)
-    fitted = fit_fabric(worn, start, options.rounds, objective, guess, say, options.mesh_corrections, kept)
+    fitted = fit_fabric(worn, start, options.rounds, options.objective, guess, say, options.mesh_corrections, kept)
     for number in range(options.alternations):
         model = settled_model(fitted, Certainty.of(fitted))
         guess = _trained_on(options, subject, kind, model, number)
-        after = fit_fabric(worn, model, options.rounds, objective, guess, say, options.mesh_corrections, kept)
+        after = fit_fabric(worn, model, options.rounds, options.objective, guess, say, options.mesh_corrections, kept)
         fitted = _again(fitted, after)
     sure = Certainty.of(fitted)
     model = settled_model(fitted, sure, tuple(one.still.name for one in worn))
-    found = record(fitted, sure, model, objective)
+    found = record(fitted, sure, model, options.objective)
     return {**found, "left_out": left_out | found["left_out"]}, model, start
 
 

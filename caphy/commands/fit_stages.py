@@ -193,7 +193,8 @@ def _garments(plan: Plan) -> None:
     worn = read(plan.run, LABELLED)["kinds"]
     for kind in {"upper", "lower"} - set(worn):
         (plan.run / f"{kind}.npz").unlink(missing_ok=True)
-    _command("register", "garments", *_labelled(plan), "--body", plan.body, "--fabric", plan.fabric, "--kinds", *worn)
+    options = ["--body", plan.body, "--fabric", plan.fabric, "--garments", *worn]
+    _command("register", "garments", *_labelled(plan), *options)
 
 
 def _points(plan: Plan) -> None:

@@ -70,8 +70,8 @@ class Garments:
     """Folder of labels (NAME.npy) to use instead of the scans' own."""
     body: str = "medium"
     """The body that the fit was made with."""
-    kinds: tuple[Literal["upper", "lower"], ...] = ("upper", "lower")
-    """Which garments to look for."""
+    garments: Annotated[tuple[Literal["upper", "lower"], ...], tyro.conf.arg(aliases=["--kinds"])] = ("upper", "lower")
+    """Which to look for."""
     upper_basis: Path | None = None
     """A linear style basis (npz) to choose the upper garment from instead of the parametric ones."""
     lower_basis: Path | None = None
@@ -215,13 +215,13 @@ def _garments(command: Garments) -> None:
         raise CaphyError(f"{command.scans}: has no scan {unknown[0]!r}, which the body fit has; give the same scans")
     found, model = {}, fabric_model(command.fabric)  # an unknown fabric is told before anything is looked for
     for kind, basis in (("upper", command.upper_basis), ("lower", command.lower_basis)):
-        if basis is not None and kind not in command.kinds:
-            raise CaphyError(f"--{kind}-basis {basis}: --kinds leaves the {kind} garment out; give one or the other")
+        if basis is not None and kind not in command.garments:
+            raise CaphyError(f"--{kind}-basis {basis}: --garments leaves the {kind} garment out; give one or the other")
         if basis is not None:
             LinearStyle.load(basis)  # raises where it is none, before hours of the other garment
     shown, record = _shown(command.output, fit.names), command.output / TEMPLATES
     with unfinished(command.output / f"garments-{UNFINISHED}") as folder:
-        for kind in sorted(command.kinds):  # what is worn beneath comes first
+        for kind in sorted(command.garments):  # what is worn beneath comes first
             found[kind] = _garment(command, fit, shown, scans, kind, model, Kept(folder))
             rest = {each: command.output / f"{each}.npz" for each in KINDS if each not in found}
             told = still_told(record, rest) | found  # written each time: the next one may fail
@@ -304,7 +304,7 @@ def _tell_of_layers(command: Garments, kind: str, clouds: Sequence[Cloud]) -> No
             f"note: the scans show a lower garment, for which {command.output / 'upper.npz'} leaves no room, since it "
             "is not chosen yet; choose it first, or both together"
         )
-    elif kind == "lower" and other.is_file() and "upper" not in command.kinds and _leaves_room(other):
+    elif kind == "lower" and other.is_file() and "upper" not in command.garments and _leaves_room(other):
         print(f"note: {other} was chosen before, and leaves room for another garment, if any; choose it anew")
 
 

@@ -105,8 +105,8 @@ class Train:
     """Without it the scans alone are learnt, for comparison."""
     seed: int = 0
     """What is drawn follows from it alone."""
-    device: str = "cpu"
-    """cpu or cuda."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to train."""
     resume: bool = False
     """Go on from the folder's checkpoint."""
 

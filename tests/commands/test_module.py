@@ -40,8 +40,8 @@ def test_an_option_given_twice_is_refused(again, capsys) -> None:
     [
         "body build", "body render", "poses convert", "poses condition", "poses render", "garment make tshirt",
         "garment from-mesh", "garment render", "register body", "register garments", "register points", "effects new",
-        "simulate", "scans render", "scans from-4d-dress", "segment", "train", "collide", "compare", "diagnose", "refit",
-        "challenge new", "evaluate", "fit", "export", "demo",
+        "simulate", "scans render", "scans from-4d-dress", "segment", "train", "collide", "compare", "diagnose",
+        "refit", "challenge new", "evaluate", "fit", "export", "demo",
     ],
 )  # fmt: skip
 def test_where_a_command_writes_has_the_same_names_in_all(words, capsys) -> None:
@@ -51,7 +51,27 @@ def test_where_a_command_writes_has_the_same_names_in_all(words, capsys) -> None
     assert {"-o ", "--out ", "--output "} <= set(told)
 
 
+@pytest.mark.parametrize(
+    ("command", "option", "choices"),
+    [
+        ("fabric run", "--objective", "response force"),
+        ("fabric run", "--garments", "upper lower"),
+        ("register garments scans -o run", "--garments", "upper lower"),
+        ("register garments scans -o run", "--kinds", "upper lower"),
+        ("train tshirt -o run", "--device", "cpu cuda"),
+    ],
+)
+def test_what_may_be_chosen_is_told(command, option, choices, capsys) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main([*command.split(), "--help"])
+    assert "{" + choices.replace(" ", ",") + "}" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        main([*command.split(), option, "hat"])
+    assert set(choices.split()) <= set(re.findall(r"\w+", capsys.readouterr().err))
+
+
 def test_they_are_all_options_with_any_number_of_values() -> None:
     sources = "\n".join(path.read_text() for path in Path(commands.__file__).parent.glob("*.py"))
     lists = re.findall(r"^    (\w+): (?:tuple\[[^\n]*, \.\.\.\]|EffectFiles) = ", sources, re.MULTILINE)
-    assert {f"--{name.replace('_', '-')}" for name in lists} == set(LISTS)
+    others = re.findall(r'tuple\[[^\n]*aliases=\["(--\w+)"\]', sources)
+    assert {*others, *(f"--{name.replace('_', '-')}" for name in lists)} == set(LISTS)

@@ -96,9 +96,7 @@ def test_one_garment_at_a_time_is_told_as_both(run, tmp_path, monkeypatch, capsy
     ("options", "told"),
     [
         (["--upper-density", "0"], "kg/m"),
-        (["--objective", "nonsense"], "response or force"),
         (["--rounds", "0"], "at least 1"),
-        (["--garments", "hat"], "upper and lower"),
         (["--fabric", "sackcloth"], "sackcloth"),
         (["--model", "nowhere.json"], "nowhere.json"),
     ],

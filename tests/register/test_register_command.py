@@ -83,7 +83,7 @@ def test_body_and_garment_are_found_and_the_spoilt_scan_is_named(folder, tmp_pat
         basis, mean=garment.vertices, components=0.02 * garment.vertices[None] * [1.0, 0.0, 1.0], faces=garment.faces
     )
     monkeypatch.setattr("caphy.register.linear_style.choose_linear", partial(choose_linear, count=5))
-    command = ["register", "garments", str(folder), "-o", str(run), "--kinds", "lower", "--lower-basis", str(basis)]
+    command = ["register", "garments", str(folder), "-o", str(run), "--garments", "lower", "--lower-basis", str(basis)]
     assert main(command) == 0
     assert Garment.load(run / "lower.npz").name == "lower"  # whatever the file of its basis is called
     assert json.loads((run / "garments.json").read_text())["lower"]["looked_at"] == 5
@@ -168,16 +168,16 @@ def test_templates_are_chosen_by_the_scans_that_show_them(tmp_path, capsys, monk
 def test_a_garment_that_finds_no_room_beneath_another_is_told(tmp_path, capsys):
     """Chosen one by one, the shirt before the trousers that it hangs over."""
     cloud = SimpleNamespace(labels=np.array([0, 1, 2]))
-    alone = SimpleNamespace(output=tmp_path, kinds=("upper",))
+    alone = SimpleNamespace(output=tmp_path, garments=("upper",))
     _tell_of_layers(alone, "upper", [SimpleNamespace(labels=np.array([0, 1]))])
     assert capsys.readouterr().out == ""
     _tell_of_layers(alone, "upper", [cloud])
     assert "leaves no room" in capsys.readouterr().out
     (tmp_path / "upper.npz").write_bytes(b"")
-    _tell_of_layers(SimpleNamespace(output=tmp_path, kinds=("lower",)), "lower", [cloud])
+    _tell_of_layers(SimpleNamespace(output=tmp_path, garments=("lower",)), "lower", [cloud])
     assert "upper.npz was chosen before" in capsys.readouterr().out
     (tmp_path / "lower.npz").write_bytes(b"")
-    _tell_of_layers(SimpleNamespace(output=tmp_path, kinds=("lower", "upper")), "lower", [cloud])
+    _tell_of_layers(SimpleNamespace(output=tmp_path, garments=("lower", "upper")), "lower", [cloud])
     _tell_of_layers(alone, "upper", [cloud])
     assert capsys.readouterr().out == ""
 
@@ -196,7 +196,7 @@ def test_one_garment_at_a_time_is_told_as_both(tmp_path, monkeypatch):
         return {"time": next(times)}
 
     def chosen(*kinds: str) -> dict[str, int]:
-        main(["register", "garments", str(tmp_path), "-o", str(tmp_path), "--kinds", *kinds])
+        main(["register", "garments", str(tmp_path), "-o", str(tmp_path), "--garments", *kinds])
         return {kind: told["time"] for kind, told in json.loads((tmp_path / "garments.json").read_text()).items()}
 
     monkeypatch.setattr("caphy.commands.register._garment", garment)
