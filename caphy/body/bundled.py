@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal, get_args
 
 from caphy.body.model import BodyModel
 
 Resolution = Literal["medium", "fine"]
+RESOLUTIONS: Final[tuple[Resolution, ...]] = get_args(Resolution)
 
 
 def default_body_path(resolution: Resolution = "medium") -> Path:

@@ -35,7 +35,7 @@ def option(kind: Any, value: Any, folder: Path) -> Any:
 
 
 def own_body(run: Path) -> Path | None:
-    """The body that a training in a folder was on, if it was one of its own.
+    """The body that a training in a folder was told to be on, if it was.
 
     Raises:
         CaphyError: there is no training in it.
@@ -50,7 +50,7 @@ def own_body(run: Path) -> Path | None:
 def exporting(name: str, *runs: Path) -> str:
     """What makes an avatar of a name of trainings; the licence of a body of one's own only its owner can tell."""
     body = own_body(runs[0])
-    own = () if body is None else ("--body", body, "--licence", "the licence of this body")
+    own = () if body is None or recorded(body) else ("--body", body, "--licence", "the licence of this body")
     return following("export", *runs, *own, "-o", f"avatars/{name}")
 
 
@@ -204,7 +204,7 @@ def write_record(
         "format": "caphy-run-1",
         "fps": fps,
         "seed": options.seed,
-        "body": None if options.body is None else str(options.body),
+        "body": None if options.body is None else recorded(options.body) or str(options.body),
         "betas": list(shape),
         "init": None if initial is None else dict(initial.record),
         "fabric": options.fabric,

@@ -6,11 +6,12 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, TypeGuard
 
 import numpy as np
 import tyro
 
+from caphy.body.bundled import RESOLUTIONS, Resolution, default_body, default_body_path
 from caphy.body.model import BodyModel
 from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
@@ -78,12 +79,17 @@ def tell_other_body(garment: Garment, joints: np.ndarray) -> None:
 
 def load_body(name: str) -> BodyModel:
     """The bundled body called "medium" or "fine", or the one in the npz file ``name``."""
-    from caphy.body.bundled import default_body
+    return default_body(name) if is_bundled(name) else BodyModel.load(name)
 
-    if name in ("medium", "fine"):
-        resolution: Literal["medium", "fine"] = "medium" if name == "medium" else "fine"
-        return default_body(resolution)
-    return BodyModel.load(name)
+
+def body_path(path: Path) -> Path:
+    """Where the bundled body called "medium" or "fine" lies, or the path itself."""
+    return default_body_path(name) if is_bundled(name := str(path)) else path
+
+
+def is_bundled(name: str) -> TypeGuard[Resolution]:
+    """Whether a body is called "medium" or "fine", and comes with caphy."""
+    return name in RESOLUTIONS
 
 
 def _build(command: Build) -> None:

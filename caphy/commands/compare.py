@@ -42,8 +42,8 @@ class Compare:
     """Folder for the results."""
     garment: str | None = None
     """The garment's .npz where the measurement carries no rest shape; for an avatar the garment's name."""
-    body: Path | None = None
-    """An SMPL-X-format .npz, if it is not the bundled body."""
+    body: str | None = None
+    """An SMPL-X-format .npz, or "medium" or "fine" for the bundled body; medium unless given."""
     window: int = 8
     """Frames that a physics model runs before it is restarted from the measurement, of those that are kept of films
     above 45 Hz."""
@@ -151,7 +151,7 @@ def _compared(command: Compare, films: Sequence[Path], kept: Path) -> list[Compa
 def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement], kept: Path) -> list[Comparison]:
     import torch
 
-    from caphy.body.model import BodyModel
+    from caphy.commands.body import load_body
     from caphy.garment.template import Garment
     from caphy.measure.comparison import compare
     from caphy.measure.remarks import remarks
@@ -160,7 +160,7 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
 
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
     garment = None if command.garment is None else Garment.load(command.garment)
-    body = None if command.body is None else BodyModel.load(command.body)
+    body = None if command.body is None else load_body(command.body)
     scenes = [Scene.of(measurement, garment, body) for measurement in measured]
     for note in remarks(measured):
         print(f"Note: {note}.")

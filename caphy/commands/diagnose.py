@@ -49,8 +49,8 @@ class Diagnose:
     """Measurements that nothing is fitted to, to prove the answer."""
     garment: Path | None = None
     """The garment's .npz where the measurements carry no rest shape."""
-    body: Path | None = None
-    """An SMPL-X-format .npz, if it is not the bundled body."""
+    body: str | None = None
+    """An SMPL-X-format .npz, or "medium" or "fine" for the bundled body; medium unless given."""
     effect_file: tuple[Path, ...] = ()
     """Python files with effects of your own, to be tried as well."""
 
@@ -106,13 +106,13 @@ def _read(command: Diagnose) -> list[list[Measurement]]:
 def _diagnosed(command: Diagnose, model: Model, read: Sequence[Sequence[Measurement]], crew: Crew) -> Diagnosis:
     import torch
 
-    from caphy.body.model import BodyModel
+    from caphy.commands.body import load_body
     from caphy.diagnose.diagnosis import diagnose
     from caphy.garment.template import Garment
 
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
     garment = None if command.garment is None else Garment.load(command.garment)
-    body = None if command.body is None else BodyModel.load(command.body)
+    body = None if command.body is None else load_body(command.body)
     with Progress("diagnosis") as progress:
         return diagnose(model, *read, garment=garment, body=body, progress=progress, crew=crew)
 
@@ -177,19 +177,19 @@ def next_command(verdict: str, found: Sequence[str], command: Diagnose, refitted
     return []
 
 
-def _options(options: Mapping[str, Sequence[Path]], output: Path) -> list[str]:
-    given = [argument for name, paths in options.items() if paths for argument in (f"--{name}", *map(str, paths))]
+def _options(options: Mapping[str, Sequence[Path | str]], output: Path) -> list[str]:
+    given = [argument for name, values in options.items() if values for argument in (f"--{name}", *map(str, values))]
     return [*given, "-o", str(output)]
 
 
 def _before_after(before: Model, after: Model, command: Diagnose, crew: Crew) -> None:
-    from caphy.body.model import BodyModel
+    from caphy.commands.body import load_body
     from caphy.garment.template import Garment
     from caphy.io.measurements import read_measurement
 
     proof = [read_measurement(command.held_out[0])]
     garment = None if command.garment is None else Garment.load(command.garment)
-    body = None if command.body is None else BodyModel.load(command.body)
+    body = None if command.body is None else load_body(command.body)
     page = command.output / PROOF
     write_text(page, before_and_after(Path(command.model).stem, before, after, proof, crew, garment, body))
     print(f"before and after, on measurements that nothing was fitted to: {page}")

@@ -47,8 +47,9 @@ class Export:
     all over the joints' limits [mm]."""
     motions: tuple[Path, ...] = ()
     """Pose files to fit the head on and, every third, to state its error on; those held out of training by default."""
-    body: Path | None = None
-    """Body to show, an SMPL-X-format npz with the joints trained on; the bundled body by default."""
+    body: str | None = None
+    """Body to show, with the joints trained on: an SMPL-X-format npz, or "medium" or "fine" (the default) for the
+    bundled body."""
     licence: str | None = None
     """Licence of the body and garments in words; needed with a body of your own."""
 
@@ -145,15 +146,15 @@ def _write_motion(command: Export, motion: DressedMotion) -> str:
 
 def _export_runs(command: Export) -> None:
     import caphy
-    from caphy.body.bundled import default_body
-    from caphy.body.model import BodyModel
+    from caphy.commands.body import is_bundled, load_body
     from caphy.io.bundle import write_bundle
     from export.avatar import BODY_LICENCE, avatar_bundle, bundled_garment
     from export.runs import read_run
 
-    if command.body is not None and command.licence is None:
+    name = command.body or "fine"
+    if command.licence is None and not is_bundled(name):
         raise CaphyError("a body of your own needs its licence in words: --licence TEXT")
-    body = default_body("fine") if command.body is None else BodyModel.load(command.body)
+    body = load_body(name)
     runs = [read_run(folder) for folder in command.runs]
     _require_one_body(runs, body)
     fitted, held_out = _motions(tuple(map(str, command.motions)) or _held_out(runs))

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from caphy.body.bundled import default_body
-from caphy.body.model import BodyModel
+from caphy.commands.body import load_body
 from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
@@ -76,11 +75,11 @@ def _make_help() -> None:
 def _maker(kind: type) -> Callable[..., None]:
     """The command that makes one family: its options are the family's own fields."""
 
-    def run(options: Any, output: Path, body: Path | None = None, betas: Betas = ()) -> None:
+    def run(options: Any, output: Path, body: str = "medium", betas: Betas = ()) -> None:
         from caphy.garment.families import make
 
-        writable_file(output, ".npz", [] if body is None else [body])
-        garment = make(options, _body(body), np.array(betas) if betas else None)
+        writable_file(output, ".npz", [body])
+        garment = make(options, load_body(body), np.array(betas) if betas else None)
         garment.save(output)
         print(f"{output}: {len(garment.vertices)} vertices, {len(garment.faces)} faces")
 
@@ -88,19 +87,19 @@ def _maker(kind: type) -> Callable[..., None]:
     run.__annotations__ = {
         "options": kind,
         "output": Annotated[Output, tyro.conf.arg(help="the garment npz to write")],
-        "body": Annotated[Path | None, tyro.conf.arg(help="SMPL-X-format npz; default: the bundled body")],
+        "body": Annotated[str, tyro.conf.arg(help='an SMPL-X-format npz, or "medium" or "fine" for the bundled body')],
         "betas": Annotated[Betas, tyro.conf.arg(help="shape coefficients of the body")],
         "return": None,
     }
     return run
 
 
-def _body(path: Path | None) -> BodyModel:
-    return default_body("medium") if path is None else BodyModel.load(path)
-
-
 def info(file: Positional[Path]) -> None:
-    """Print what a garment npz holds."""
+    """Print what a garment npz holds.
+
+    Args:
+        file: a garment npz, as 'caphy garment make' and 'from-mesh' write it.
+    """
     garment = Garment.load(file)
     edge = np.linalg.norm(np.diff(garment.material[:, :2], axis=1), axis=2)
     names, counts = np.unique(garment.regions, return_counts=True)
@@ -120,9 +119,15 @@ def info(file: Positional[Path]) -> None:
 
 
 def check(
-    file: Positional[Path], options: MeshOptions = MeshOptions(), body: Path | None = None, betas: Betas = ()
+    file: Positional[Path], options: MeshOptions = MeshOptions(), body: str = "medium", betas: Betas = ()
 ) -> None:
-    """Say whether a mesh file (OBJ, PLY, GLB) can be a garment, and what to do if not; writes nothing."""
+    """Say whether a mesh file (OBJ, PLY, GLB) can be a garment, and what to do if not; writes nothing.
+
+    Args:
+        file: the mesh, which lies on the body in T-pose.
+        body: an SMPL-X-format npz, or "medium" or "fine" for the bundled body.
+        betas: shape coefficients of the body.
+    """
     mesh, marks = _read(file, options, body, betas)
     from caphy.garment.from_mesh import garment_from_mesh
 
@@ -138,7 +143,7 @@ def from_mesh(
     name: str | None = None,
     waistband: bool = False,
     layer_thickness: float = 0.0,
-    body: Path | None = None,
+    body: str = "medium",
     betas: Betas = (),
 ) -> None:
     """Turn a mesh file (OBJ, PLY, GLB) that lies on the body in T-pose into a garment npz.
@@ -149,13 +154,13 @@ def from_mesh(
         name: name of the garment, of lower-case letters, digits, - and _; the file's by default.
         waistband: hold the highest opening to the body, as trousers and skirts need.
         layer_thickness: extra distance to keep from the body [m], for what is worn over something else.
-        body: SMPL-X-format npz; default: the bundled body.
+        body: an SMPL-X-format npz, or "medium" or "fine" for the bundled body.
         betas: shape coefficients of the body.
     """
     from caphy.garment.from_mesh import garment_from_mesh
     from caphy.io.bundle import require_garment_name
 
-    writable_file(output, ".npz", [file] if body is None else [file, body])
+    writable_file(output, ".npz", [file, body])
     name = name or file.stem
     require_garment_name(name, str(file), "give one with --name")
     mesh, marks = _read(file, options, body, betas)
@@ -173,13 +178,13 @@ def from_mesh(
     _describe(mesh, marks, garment)
 
 
-def render(garments: Positional[tuple[Path, ...]], output: Output, body: Path | None = None, betas: Betas = ()) -> None:
+def render(garments: Positional[tuple[Path, ...]], output: Output, body: str = "fine", betas: Betas = ()) -> None:
     """Picture garments on the body: front, three-quarter, side and back.
 
     Args:
         garments: garment npz files, worn together.
         output: the PNG to write.
-        body: SMPL-X-format npz; default: the bundled body.
+        body: an SMPL-X-format npz, or "medium" or "fine" for the bundled body.
         betas: shape coefficients of the body.
     """
     from caphy.report.camera import Camera
@@ -189,7 +194,7 @@ def render(garments: Positional[tuple[Path, ...]], output: Output, body: Path | 
     if not garments:
         raise CaphyError("render needs at least one garment npz")
     writable_file(output, ".png")
-    wearer = default_body("fine") if body is None else BodyModel.load(body)
+    wearer = load_body(body)
     shapes = [Shape(wearer.rest(np.array(betas) if betas else None)[0], wearer.faces)]
     for i, path in enumerate(garments):
         garment = Garment.load(path)
@@ -199,7 +204,7 @@ def render(garments: Positional[tuple[Path, ...]], output: Output, body: Path | 
     print(write_png(contact_sheet(views, 4), output))
 
 
-def _read(file: Path, options: MeshOptions, body: Path | None, betas: Betas) -> tuple[UserMesh, Landmarks]:
+def _read(file: Path, options: MeshOptions, body: str, betas: Betas) -> tuple[UserMesh, Landmarks]:
     """The mesh on its body."""
     from caphy.garment.landmarks import Landmarks
     from caphy.garment.usermesh import clean_mesh, read_mesh
@@ -218,7 +223,7 @@ def _read(file: Path, options: MeshOptions, body: Path | None, betas: Betas) -> 
         component=options.component,
         rewind=options.rewind,
     )
-    marks = Landmarks.of(_body(body), np.array(betas) if betas else None)
+    marks = Landmarks.of(load_body(body), np.array(betas) if betas else None)
     return replace(mesh, vertices=mesh.vertices + np.array(options.offset)), marks
 
 

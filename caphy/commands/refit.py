@@ -50,8 +50,8 @@ class RefitCommand:
     """Measurements that nothing is fitted to; without them every fourth window is held out."""
     garment: Path | None = None
     """The garment's .npz where the measurements carry no rest shape."""
-    body: Path | None = None
-    """An SMPL-X-format .npz, if it is not the bundled body."""
+    body: str | None = None
+    """An SMPL-X-format .npz, or "medium" or "fine" for the bundled body; medium unless given."""
     effect_file: tuple[Path, ...] = ()
     """Python files with effects of your own."""
 
@@ -89,7 +89,7 @@ def main(arguments: list[str]) -> int:
 def _refit(command: RefitCommand, model: Model, kept: Path) -> int:
     import torch
 
-    from caphy.body.model import BodyModel
+    from caphy.commands.body import load_body
     from caphy.diagnose.base import base_of
     from caphy.diagnose.checks import require_one_cloth
     from caphy.diagnose.figures import learned_of
@@ -103,7 +103,7 @@ def _refit(command: RefitCommand, model: Model, kept: Path) -> int:
     torch.set_num_threads(1)  # of many small matrices: two threads take half as long again
 
     garment = None if command.garment is None else Garment.load(command.garment)
-    body = None if command.body is None else BodyModel.load(command.body)
+    body = None if command.body is None else load_body(command.body)
     measured, proof = ([read_measurement(path) for path in paths] for paths in (command.measurements, command.held_out))
     calm = [read_measurement(path) for path in command.base]
     require_one_cloth(fitted=measured, base=calm, held_out=proof)

@@ -22,7 +22,11 @@ def main(arguments: list[str]) -> int | None:
 
 
 def check(folder: Positional[Path]) -> int:
-    """Say what is wrong with the scans of a folder, and what to do; status 1 if some cannot be used."""
+    """Say what is wrong with the scans of a folder, and what to do; status 1 if some cannot be used.
+
+    Args:
+        folder: folder with a scans.toml; see docs/scans.md.
+    """
     from caphy.scan.checks import check_set, usable
     from caphy.scan.scan_set import ScanSet
 

@@ -80,7 +80,8 @@ class Train:
     held_out: tuple[Path, ...] = ()
     """Pose files or folders to validate on; without any, every sixth file, or of fewer the end of the longest clip."""
     body: Path | None = None
-    """Body npz in the SMPL-X format; subject_body.npz of --scans, or the bundled body unless given."""
+    """Body npz in the SMPL-X format, or "medium" or "fine" for the bundled body; subject_body.npz of --scans, or medium
+    unless given."""
     betas: tuple[float, ...] = ()
     """Body shape that the garment was made on; that of --init unless given."""
     fabric: str | None = None
@@ -328,10 +329,13 @@ def _found_again(path: Path, poses: tuple[Path, ...]) -> Path:
 
 def _found(options: Train) -> Train:
     """The options with bundled files' paths, and the body that --scans brings along."""
+    from caphy.commands.body import body_path
     from caphy.register.subject import SUBJECT_BODY
 
     own = None if options.scans is None else options.scans / SUBJECT_BODY
-    body = own if options.body is None and own is not None and own.is_file() else options.body
+    body = None if options.body is None else body_path(options.body)
+    if body is None and own is not None and own.is_file():
+        body = own
     init, transfer = (None if path is None else bundled(path) for path in (options.init, options.transfer))
     return replace(options, garment=bundled(options.garment), init=init, transfer=transfer, body=body)
 

@@ -70,6 +70,21 @@ def test_what_may_be_chosen_is_told(command, option, choices, capsys) -> None:
     assert set(choices.split()) <= set(re.findall(r"\w+", capsys.readouterr().err))
 
 
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("garment info", ["a garment npz"]),
+        ("garment check", ["the mesh", "an SMPL-X-format npz", "shape coefficients"]),
+        ("scans check", ["folder with a scans.toml"]),
+    ],
+)
+def test_help_says_what_to_give(command, told, capsys) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main([*command.split(), "--help"])
+    said = capsys.readouterr().out
+    assert all(words in said for words in told)
+
+
 def test_they_are_all_options_with_any_number_of_values() -> None:
     sources = "\n".join(path.read_text() for path in Path(commands.__file__).parent.glob("*.py"))
     lists = re.findall(r"^    (\w+): (?:tuple\[[^\n]*, \.\.\.\]|EffectFiles) = ", sources, re.MULTILINE)

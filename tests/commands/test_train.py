@@ -184,6 +184,28 @@ def test_what_comes_with_caphy_is_remembered_by_name(inputs):
     assert not list(learnt_from(inputs / "run"))  # the default avatar knows no scans
 
 
+def test_a_body_that_comes_along_is_found_again_by_name(inputs, capsys):
+    """By what goes on with the training, looks at it, and makes an avatar of it, which needs no licence."""
+    from caphy.body.bundled import default_body_path
+    from caphy.commands.begun import own_body
+    from caphy.commands.train import reopen
+    from caphy.io.bundle import read_bundle
+
+    run = inputs / "run"
+    assert train(inputs, "--body", "fine") == 0
+    assert f"caphy export {run} -o avatars/run" in capsys.readouterr().out
+    for name in ("options.json", "run.json"):
+        assert json.loads((run / name).read_text())["body"] == "caphy:body_fine.npz"
+    assert own_body(run) == default_body_path("fine")
+    assert train(inputs, "--body", "fine", "--resume", "--steps", "3") == 0
+    assert len(reopen(run).objective.body.v_template) == len(default_body("fine").v_template)
+    assert main(["validate", str(run), "--seconds", "0.2", "--frames", "60"]) == 0
+    assert train(inputs, "--body", "medium", "--resume", "--steps", "4") == 2
+    assert "body_fine.npz, not " in capsys.readouterr().err
+    assert main(["export", str(run), "--body", "medium", "-o", str(inputs / "avatar")]) == 0
+    assert len(read_bundle(inputs / "avatar").body.vertices) == len(default_body("medium").v_template)
+
+
 def test_a_training_goes_on_with_motions_that_were_renamed(inputs, capsys):
     assert train(inputs) == 0
     (inputs / "motions" / "1.npz").rename(inputs / "motions" / "walk.npz")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
+from caphy.body.bundled import default_body
 from caphy.cli import main
 from caphy.effects.presets import snug_model
 from caphy.garment.template import Garment
@@ -24,6 +25,24 @@ def test_make_info_check_render(tmp_path, capsys):
     assert "leg_left" in capsys.readouterr().out
     assert main(["garment", "render", str(npz), "-o", str(png)]) == 0
     assert png.stat().st_size > 5000
+
+
+def test_bodies_that_come_along_have_names(tmp_path, capsys):
+    made = {name: tmp_path / f"{name}.npz" for name in ("none", "medium", "fine")}
+    for name, path in made.items():
+        words = [] if name == "none" else ["--body", name]
+        assert main(["garment", "make", "shorts", "--edge-length", "0.05", *words, "-o", str(path)]) == 0
+    none, medium, fine = (Garment.load(path) for path in made.values())
+    np.testing.assert_array_equal(none.vertices, medium.vertices)
+    assert none.vertices.shape != fine.vertices.shape or not np.allclose(none.vertices, fine.vertices)
+    mesh, mine = tmp_path / "mine.obj", tmp_path / "mine.npz"
+    trimesh.Trimesh(fine.vertices, fine.faces, process=False).export(mesh)
+    assert main(["garment", "check", str(mesh), "--body", "fine"]) == 0
+    assert main(["garment", "from-mesh", str(mesh), "--body", "fine", "-o", str(mine)]) == 0
+    assert Garment.load(mine).apart(default_body("fine").joints) < 1e-6
+    assert main(["garment", "render", str(mine), "--body", "medium", "-o", str(tmp_path / "mine.png")]) == 0
+    assert main(["garment", "check", str(mesh), "--body", "finest"]) == 2
+    assert "finest: there is no such body model file" in capsys.readouterr().err
 
 
 def test_what_the_user_can_put_right_has_status_two_and_no_traceback(tmp_path, capsys):

@@ -150,3 +150,14 @@ def test_what_is_for_physics_models_is_refused(measurement, tmp_path, capsys, op
     words = [str(tmp_path / "avatar"), str(tmp_path / "m.npz"), "-o", str(tmp_path / "out"), *option]
     assert main(["compare", *words]) == 2
     assert f"{option[0]} is for physics models" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["compare", "diagnose", "refit"])
+def test_the_bundled_body_has_its_names_for_physics_models(command, measurement, tmp_path, capsys):
+    """Next is asked for what the garment's rest shape is, which this measurement does not carry."""
+    write_measurement(measurement, tmp_path / "m.npz")
+    words = ["snug", str(tmp_path / "m.npz"), "-o", str(tmp_path / "out.json"), "--body"]
+    assert main([command, *words, "fine"]) == 2
+    assert "rest_vertices" in capsys.readouterr().err
+    assert main([command, *words, "finest"]) == 2
+    assert "finest: there is no such body model file" in capsys.readouterr().err
