@@ -28,7 +28,7 @@ def test_found_effects_are_refitted_with_all_that_was_given():
         "base": (Path("base 1.npz"), Path("base2.npz")),
         "held_out": (Path("later.npz"),),
         "garment": Path("shirt.npz"),
-        "body": Path("body.npz"),
+        "body": "body.npz",
         "effect_file": (Path("mine.py"), Path("yours.py")),
     }
     command = next_command("named", ("pressure", "mine"), given(**options))
