@@ -35,7 +35,7 @@ def option(kind: Any, value: Any, folder: Path) -> Any:
 
 
 def own_body(run: Path) -> Path | None:
-    """The body that a training in a folder was told to be on, if it was.
+    """The body that a training in a folder was on, where it was told one.
 
     Raises:
         CaphyError: there is no training in it.
