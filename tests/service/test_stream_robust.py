@@ -111,6 +111,8 @@ ENDINGS = [
     ([hello(), bytes(70_000)], 4413, "65536"),
     ([hello(garments=("hat",))], 4404, "hat"),
     ([hello(fps=0.0)], 4422, "fps"),
+    ([hello(conditioning="calm")], 4422, "condition: must be on, off, or settings in JSON"),
+    ([hello(conditioning="calm")[:-1] + b"\xff"], 4400, "must be UTF-8"),
 ]
 
 
