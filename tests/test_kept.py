@@ -103,3 +103,17 @@ def test_what_is_unfinished_stays_until_it_is_done(tmp_path: Path, capsys: pytes
     with pytest.raises(CaphyError, match="holds 'thesis"), unfinished(folder):
         pass
     assert (folder / "thesis.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["0" * 64, f"square-held_out-3-{'a' * 20}"])
+def test_what_a_kill_left_half_written_neither_stops_nor_outlives_the_work(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "unfinished"
+    line = (
+        "import os, sys; from pathlib import Path; from caphy.io.places import new_file\n"
+        "with new_file(Path(sys.argv[1])) as file: file.write(b'half'); file.flush(); os.kill(os.getpid(), 9)"
+    )
+    assert subprocess.run([sys.executable, "-c", line, str(folder / f"{name}.npz")], check=False).returncode == -9
+    assert len(list(folder.iterdir())) == 1
+    with unfinished(folder) as kept:
+        Kept(kept).keep("1" * 64, {})
+    assert not folder.exists()

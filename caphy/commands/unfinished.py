@@ -13,8 +13,9 @@ from caphy.errors import CaphyError
 UNFINISHED = "unfinished"
 """Name of that folder in a folder of results; beside a file, the ending of its name."""
 
-_OURS = re.compile(r"([0-9a-f]{64}|[a-z]+-[a-z_]+-\d+-[0-9a-f]{20})\.npz")
-"""How names begin of what :class:`caphy.kept.Kept` writes and of films of a challenge, and while they are written."""
+_OURS = re.compile(r"\.?([0-9a-f]{64}|[a-z]+-[a-z_]+-\d+-[0-9a-f]{20})\.npz")
+"""How names begin of what :class:`caphy.kept.Kept` writes and of films of a challenge; with a dot while they are
+written (:func:`caphy.io.places.new_file`), which a kill leaves so."""
 
 
 @contextmanager
