@@ -120,7 +120,10 @@ def _print_sweep(options: Options, stills: Stills, garment: Garment, planted: Mo
 
 
 def over_truth(fitted: Fitted, planted: Model, values: np.ndarray) -> dict[str, float]:
-    """Energies that values (K,) store in the scans over those that the true tables do, effect -> ratio."""
+    """Energies that values (K,) store in the scans over those that the true tables do, effect -> ratio.
+
+    Of the true ones too small entries are raised.
+    """
     return ratios(fitted.numbers, fitted.energy, values, Coefficients.of(planted).values)
 
 

@@ -18,7 +18,7 @@ from caphy.kept import Kept
 if TYPE_CHECKING:
     from caphy.effects.model import Model
     from caphy.evaluate.dressed import Subject
-    from caphy.fabric.rounds import Fitted, Guess, Round
+    from caphy.fabric.rounds import Fitted, Guess
     from caphy.fabric.stills import Worn
 
 RESULT, PAGE = "fabric.json", "fabric.html"
@@ -165,7 +165,9 @@ def _fit(
     for number in range(options.alternations):
         model = settled_model(fitted, Certainty.of(fitted))
         guess = _trained_on(options, subject, kind, model, number)
-        after = fit_fabric(worn, model, options.rounds, options.objective, guess, say, options.mesh_corrections, kept)
+        after = fit_fabric(
+            worn, model, options.rounds, options.objective, guess, say, options.mesh_corrections, kept, start
+        )
         fitted = _again(fitted, after)
     sure = Certainty.of(fitted)
     model = settled_model(fitted, sure, tuple(one.still.name for one in worn))
@@ -174,19 +176,8 @@ def _fit(
 
 
 def _again(before: Fitted, after: Fitted) -> Fitted:
-    """The later fit with the rounds of both, told over the first start."""
-    import numpy as np
-
-    from caphy.fabric.rounds import ratios
-
-    numbers = before.numbers
-
-    def over_the_start(one: Round) -> Round:
-        energy = np.sum([said.energy for said in one.said], axis=0)
-        return replace(one, stiffness=ratios(numbers, energy, one.values, numbers.values))
-
-    rounds = (*before.rounds, *map(over_the_start, after.rounds))
-    return replace(after, numbers=numbers, rounds=rounds, prior=after.numbers)
+    """The later fit, which was told over the first start, with the rounds of both."""
+    return replace(after, numbers=before.numbers, rounds=(*before.rounds, *after.rounds), prior=after.numbers)
 
 
 def _worn(options: FabricCommand, subject: Subject, points: Any, kind: str) -> tuple[list[Worn], dict[str, str]]:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from caphy.fabric.bounded import Pooled, solve
-from caphy.fabric.rounds import Fitted, ratios
+from caphy.fabric.rounds import Fitted, over_first
 
 REPLICAS = 200
 LEVEL = 0.95
@@ -25,7 +25,7 @@ class Certainty:
     """What is known of a fitted fabric: of each table as a whole. Single entries make up for one another.
 
     Attributes:
-        low, high: of each table's stiffness over the start's, effect -> end of the :data:`LEVEL` interval.
+        low, high: of each table's stiffness over the first model's own, effect -> end of the :data:`LEVEL` interval.
         determined: tables whose interval is narrow enough, effect -> whether.
     """
 
@@ -49,7 +49,7 @@ class Certainty:
         for _ in range(REPLICAS):
             drawn = Pooled.of(said, np.bincount(random.integers(many, size=many), minlength=many).astype(float))
             values = solve(Pooled(drawn.a, drawn.b, noise.noise), prior, last.values)
-            found = ratios(numbers, fitted.energy, values, numbers.values)
+            found = over_first(numbers, said, values)
             logs.append([np.log(max(found[name], 1e-12)) for name in numbers.names])
         spread = (
             np.std(logs, axis=0) * np.sqrt(many / max(many - 1, 1)) * student.ppf(0.5 + LEVEL / 2, max(many - 1, 1))

@@ -31,16 +31,18 @@ class Coefficients:
         columns: the numbers.
         values: theirs at the start (K,), entries that the fabric's law takes as zero raised to nearly zero.
         group: which effect each belongs to (K,).
+        first: the model whose own tables stiffness is told over, none raised.
     """
 
     start: Model
     columns: tuple[Column, ...]
     values: np.ndarray
     group: np.ndarray
+    first: Model
 
     @classmethod
-    def of(cls, model: Model) -> Coefficients:
-        """The numbers of a model.
+    def of(cls, model: Model, first: Model | None = None) -> Coefficients:
+        """The numbers of a model, told over those of ``first``, which has the same effects: the model unless given.
 
         Raises:
             CaphyError: the model has no elasticity that can be fitted.
@@ -61,7 +63,7 @@ class Coefficients:
         largest = np.array([np.abs(values[group == g]).max() for g in group])
         if not (largest > 0).all():
             raise CaphyError(f"{names[group[largest == 0][0]]} must have a stiffness above zero to start from")
-        return cls(model, columns, np.maximum(values, LEAST * largest), group)
+        return cls(model, columns, np.maximum(values, LEAST * largest), group, first or model)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -97,3 +99,14 @@ class Coefficients:
                 slopes = torch.autograd.grad(energy, list(values.values()), materialize_grads=True)
             found += [slope.reshape(-1).numpy() for slope in slopes]
         return np.concatenate(found)
+
+    def stored_first(self, potential: Potential, x: Tensor) -> np.ndarray:
+        """Energy of each group's tables in ``first`` (G,) [J] at positions (V, 3) [m]."""
+        found = []
+        for name in self.names:
+            term = potential.terms[name]
+            values = {
+                key: value.new_tensor(np.asarray(self.first.effects[name][key])) for key, value in term.values.items()
+            }
+            found.append(float(term.effect.energy(potential.elements(term, x, None, None), values).sum()))
+        return np.array(found)

@@ -35,6 +35,7 @@ class Said:
         a, b, c: J^T J (N, N), J^T r (N,), r^T r.
         count: residuals.
         energy: of each of the K numbers per unit, at the cloth where it lies (K,) [J].
+        first: what each table of the model that stiffness is told over stores there (G,) [J].
         median: of the points' distances from the cloth [m].
     """
 
@@ -43,6 +44,7 @@ class Said:
     c: float
     count: int
     energy: np.ndarray
+    first: np.ndarray
     median: float
 
 
@@ -63,8 +65,8 @@ def by_response(layer: Layer, worn: Worn, lying: Lying, numbers: Coefficients, m
         residual = residual - mesh[lying.hits.index]
         near &= np.isfinite(residual)
     r, j = residual[near], (lying.hits.rows @ moved.reshape(-1, moved.shape[-1]))[near]
-    energy = numbers.energies(layer.potential, x)
-    return Said(j.T @ j, j.T @ r, float(r @ r), len(r), energy, float(np.median(np.abs(r))))
+    stored = numbers.energies(layer.potential, x), numbers.stored_first(layer.potential, x)
+    return Said(j.T @ j, j.T @ r, float(r @ r), len(r), *stored, float(np.median(np.abs(r))))
 
 
 def of_the_mesh(lying: Lying, fine: Lying, count: int) -> np.ndarray:
@@ -83,9 +85,9 @@ def by_force(layer: Layer, worn: Worn, lying: Lying, numbers: Coefficients, valu
     pushes = torch.cat([numbers.forces(layer.potential, x, body), _contact(layer, x, body)])
     j = -pushes.reshape(len(pushes), -1).T.numpy()
     r = layer.potential.gradient(x, None, body)[1].reshape(-1).numpy()
-    energy = numbers.energies(layer.potential, x)
+    stored = numbers.energies(layer.potential, x), numbers.stored_first(layer.potential, x)
     residual = lying.hits.residual(lying.x)
-    return Said(j.T @ j, j.T @ r, float(r @ r), len(r), energy, float(np.median(np.abs(residual))))
+    return Said(j.T @ j, j.T @ r, float(r @ r), len(r), *stored, float(np.median(np.abs(residual))))
 
 
 def _contact(layer: Layer, x: torch.Tensor, body: BodyState) -> torch.Tensor:

@@ -45,12 +45,10 @@ def record(fitted: Fitted, sure: Certainty, model: Model, objective: Objective) 
         {
             "name": column.name,
             "unit": column.unit,
-            "start": float(start),
+            "start": column.value(numbers.start),
             "found": float(found) if sure.determined[numbers.names[group]] else NOT_DETERMINED,
         }
-        for column, start, found, group in zip(
-            numbers.columns, numbers.values, fitted.values, numbers.group, strict=True
-        )
+        for column, found, group in zip(numbers.columns, fitted.values, numbers.group, strict=True)
     ]
     return {
         "objective": objective,

@@ -47,7 +47,7 @@ class Round:
         corrected: whether the mesh's own error was taken off.
         values: the numbers it started from (K,).
         said: what each scan said there.
-        stiffness: each table's, over the start's, at the strains of the scans: effect -> ratio.
+        stiffness: each table's, over the first model's own, at the strains of the scans: effect -> ratio.
         median: of the points' distances from the cloth [m].
     """
 
@@ -99,8 +99,8 @@ class Fitted:
 
     @property
     def stiffness(self) -> dict[str, float]:
-        """Each table's stiffness over the start's at the strains of the scans, effect -> ratio."""
-        return ratios(self.numbers, self.energy, self.values, self.numbers.values)
+        """Each table's stiffness over the first model's own at the strains of the scans, effect -> ratio."""
+        return over_first(self.numbers, self.rounds[-1].said, self.values)
 
 
 def ratios(numbers: Coefficients, energy: np.ndarray, values: np.ndarray, over: np.ndarray) -> dict[str, float]:
@@ -116,6 +116,19 @@ def ratios(numbers: Coefficients, energy: np.ndarray, values: np.ndarray, over: 
     return found
 
 
+def over_first(numbers: Coefficients, said: Sequence[Said], values: np.ndarray) -> dict[str, float]:
+    """What values (K,) store in the scans over what the first model's own tables do, effect -> ratio.
+
+    Its energy is no sum over its entries: where those below zero make a stiffness negative, it counts as none.
+    """
+    energy = np.sum([one.energy for one in said], axis=0) * values
+    first = np.sum([one.first for one in said], axis=0)
+    return {
+        name: float(energy[numbers.group == group].sum() / max(first[group], 1e-300))
+        for group, name in enumerate(numbers.names)
+    }
+
+
 def fit_fabric(
     worn: Sequence[Worn],
     model: Model,
@@ -125,6 +138,7 @@ def fit_fabric(
     progress: Progress | None = None,
     corrections: int = CORRECTIONS,
     kept: Kept | None = None,
+    first: Model | None = None,
 ) -> Fitted:
     """The fabric of a garment from scans of it at rest; the model's density and all else in it is kept.
 
@@ -136,11 +150,12 @@ def fit_fabric(
         corrections: times that the error of the mesh is told, where rounds settle or at equal shares of them; of the
             response only.
         kept: where cloth at rest is kept, and found again.
+        first: whose tables the stiffness found is told over; ``model``'s unless given.
 
     Raises:
         CaphyError: fewer than :data:`FEWEST` scans can be used, or the model has no fabric.
     """
-    numbers = Coefficients.of(model)
+    numbers = Coefficients.of(model, first)
     scans = _Scans(tuple(worn), numbers, objective, guess, progress, kept)
     values, history = numbers.values, []
     left = corrections if objective == "response" else 0
@@ -155,8 +170,7 @@ def fit_fabric(
             break
         energy = np.sum([one.energy for one in said], axis=0)
         median = float(np.median([one.median for one in said]))
-        stiffness = ratios(numbers, energy, values, numbers.values)
-        history.append(Round(values, said, stiffness, median, bool(scans.mesh)))
+        history.append(Round(values, said, over_first(numbers, said, values), median, bool(scans.mesh)))
         after = solve(Pooled.of(said), numbers, values)
         change = ratios(numbers, energy, after, values)
         values = after
