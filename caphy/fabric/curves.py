@@ -6,40 +6,41 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 import numpy as np
-import torch
 
-from caphy.effects.base import Elements
-from caphy.effects.membrane import Membrane
 from caphy.effects.model import Model
 from caphy.effects.registry import find_effect
 from caphy.material.fabrics import bending_stiffness
+from caphy.measure.uniaxial import held_tension
 from caphy.report.page.plots import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, _frame, _path, _scale, _x_axis, _y_axis
 
 STRAINS = np.linspace(0.0, 0.08, 33)
 """Engineering strains of the curves."""
 CURVATURES = np.linspace(0.0, 20.0, 21)
 """Of the bending curves [1/m]."""
+BENDINGS = {"bending", "bending_measured", "extra_bending", "bending_anisotropy"}
+"""Effects whose stiffness the bending curves show."""
 
 
 def tension(model: Model, along: str) -> np.ndarray:
     """Force per width [N/m] of a strip stretched by :data:`STRAINS` along "weft" or "warp", its width held (33,)."""
-    name = next(name for name in ("strain_measured", "strain_stvk") if name in model.effects)
-    effect = find_effect(name)
-    assert isinstance(effect, Membrane)
-    stretch = torch.from_numpy(1 + STRAINS)
-    values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in model.effects[name].items()}
-    green, zero = 0.5 * (stretch**2 - 1), torch.zeros(len(STRAINS), dtype=torch.float64)
-    strain = (green, zero, zero) if along == "weft" else (zero, green, zero)
-    stress, _ = effect.response(strain, Elements(torch.zeros(3, 3, len(STRAINS)), {}), values)
-    return (stretch * stress[0 if along == "weft" else 1]).numpy()
+    return held_tension(model, STRAINS, along)
 
 
 def bending(model: Model, along: str) -> np.ndarray:
-    """Bending stiffness k [N m] at :data:`CURVATURES` where the "weft" or the "warp" threads bend (21,)."""
-    if "bending_measured" in model.effects:
-        table = np.asarray(model.effects["bending_measured"]["bending"], dtype=float)
-        return bending_stiffness(table, np.array(np.pi / 2 if along == "weft" else 0.0), CURVATURES)
-    return np.full(len(CURVATURES), float(np.asarray(model.effects["bending"][f"stiffness_{along}"])))
+    """Bending stiffness k [N m] at :data:`CURVATURES` where the "weft" or the "warp" threads bend (21,).
+
+    The sum over :data:`BENDINGS`.
+    """
+
+    def number(effect: str, parameter: str) -> float:
+        return float(np.asarray(model.effects.get(effect, {}).get(parameter, 0.0)))
+
+    k = number("bending", f"stiffness_{along}") + number("extra_bending", "stiffness")
+    k += (1 if along == "weft" else -1) * number("bending_anisotropy", "difference")
+    if "bending_measured" not in model.effects:
+        return np.full(len(CURVATURES), k)
+    table = np.asarray(model.effects["bending_measured"]["bending"], dtype=float)
+    return k + bending_stiffness(table, np.array(np.pi / 2 if along == "weft" else 0.0), CURVATURES)
 
 
 def figures(models: Mapping[str, Model]) -> list[str]:
@@ -49,14 +50,18 @@ def figures(models: Mapping[str, Model]) -> list[str]:
         curves = {name: tension(model, along) for name, model in models.items()}
         found.append(_plot(f"Tension along the {along}", "strain [%]", "N/m", 100 * STRAINS, curves))
     for along in ("weft", "warp"):
-        bent = {name: 1e6 * bending(model, along) for name, model in models.items() if _bends(model)}
+        bent = {name: 1e6 * bending(model, along) for name, model in models.items() if BENDINGS & set(model.effects)}
         if bent:
-            found.append(_plot(f"Bending of the {along}", "curvature [1/m]", "µN m", CURVATURES, bent))
+            without = sorted({name for model in models.values() for name in _bending_left_out(model)})
+            note = f", without {' and '.join(without)}" if without else ""
+            found.append(_plot(f"Bending of the {along}{note}", "curvature [1/m]", "µN m", CURVATURES, bent))
     return found
 
 
-def _bends(model: Model) -> bool:
-    return "bending_measured" in model.effects or "bending" in model.effects
+def _bending_left_out(model: Model) -> set[str]:
+    """Effects that bend resting cloth and that :func:`bending` does not know."""
+    effects = {name: find_effect(name) for name in model.effects}
+    return {name for name, effect in effects.items() if effect.element == "hinge" and not effect.needs_step} - BENDINGS
 
 
 def _plot(title: str, x_label: str, y_label: str, x: np.ndarray, curves: Mapping[str, np.ndarray]) -> str:

@@ -48,8 +48,19 @@ def model_curve(model: Model, axial: np.ndarray, direction: str) -> ModelCurve:
     energy = _strip_energy(model, direction)
     stretch = 1 + np.asarray(axial, dtype=float)
     narrow = _narrowest(energy, stretch)
-    force = (energy(stretch + _STEP, narrow) - energy(stretch - _STEP, narrow)) / (2 * _STEP)
-    return ModelCurve(np.asarray(axial, dtype=float), narrow - 1, force)
+    return ModelCurve(np.asarray(axial, dtype=float), narrow - 1, _force(energy, stretch, narrow))
+
+
+def held_tension(model: Model, axial: np.ndarray, direction: str) -> np.ndarray:
+    """Force per width [N/m] at axial strains (N,) along "weft" or "warp" of a strip whose width is held.
+
+    What acts :func:`at_edges`, in motion or on a body is left out.
+    """
+    return _force(_strip_energy(model, direction), 1 + np.asarray(axial, dtype=float), np.ones(len(axial)))
+
+
+def _force(energy, stretch: np.ndarray, across: np.ndarray) -> np.ndarray:
+    return (energy(stretch + _STEP, across) - energy(stretch - _STEP, across)) / (2 * _STEP)
 
 
 def at_edges(model: Model) -> tuple[str, ...]:

@@ -10,7 +10,8 @@ import pytest
 from benchmarks._panel import Stills, frame, panel, turns
 from caphy.cli import main
 from caphy.effects.model import Model
-from caphy.effects.presets import fabric_model
+from caphy.effects.presets import fabric_model, snug_model
+from caphy.fabric.curves import STRAINS, bending, figures, tension
 from caphy.garment.template import write_npz
 from caphy.register.points import FOLDER, ScanPoints
 from caphy.register.subject import SUBJECT_BODY, body_arrays
@@ -90,6 +91,22 @@ def test_one_garment_at_a_time_is_told_as_both(run, tmp_path, monkeypatch, capsy
     panel(SIDE).save(folder / "lower.npz")
     assert fitted("--garments", "lower") == {"lower": "response"}
     assert "what it said of the upper garment is lost; do it again" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("along", "sign"), [("weft", 1), ("warp", -1)])
+def test_curves_show_all_that_acts_in_the_plane_and_in_folds(along, sign):
+    """By hand: fibres k G, stiffening k G^3 with G the Green strain, and as many more uN m in all directions."""
+    plain = snug_model()
+    model = plain.with_effect("weft_warp_stiffness", weft=20.0, warp=5.0)
+    model = model.with_effect("strain_stiffening", stiffness=2000.0)
+    green = STRAINS + STRAINS**2 / 2
+    added = (1 + STRAINS) * ((20.0 if along == "weft" else 5.0) * green + 2000.0 * green**3)
+    np.testing.assert_allclose(tension(model, along) - tension(plain, along), added, atol=1e-5)
+    stiffness = plain.effects["bending"][f"stiffness_{along}"]
+    model = plain.with_effect("extra_bending", stiffness=3e-5).with_effect("bending_anisotropy", difference=1e-5)
+    np.testing.assert_allclose(bending(model, along), stiffness + 3e-5 + sign * 1e-5)
+    shown = figures({"start": plain, "found": model.with_effect("natural_curvature", weft=5.0, warp=5.0)})
+    assert ["without natural_curvature" in figure for figure in shown] == [False, False, True, True]
 
 
 @pytest.mark.parametrize(
