@@ -79,7 +79,7 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
     points = read_points(options.run, "train")
     document: dict[str, Any] = {"format": "caphy-fabric-1", "garments": {}, "failed": {}}
     plots, sentences = {}, {}
-    for kind in options.garments:
+    for kind in dict.fromkeys(options.garments):
         if kind not in subject.garments:
             continue
         try:
@@ -98,6 +98,10 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
         raise CaphyError(f"{options.run}: no garment's fabric could be fitted")
     rest = {kind: _model_file(options.run, kind) for kind in KINDS if kind not in options.garments}
     document["garments"] = still_told(options.run / RESULT, rest, "garments") | fitted
+    failed = document["failed"]
+    document["failed"] = {k: why for k, why in _failed_before(options.run).items() if k in rest} | failed
+    for kind in failed:  # what an earlier fit could fit, this one may not
+        _model_file(options.run, kind).unlink(missing_ok=True)
     if len(document["garments"]) == 1:  # then the file is a physics model as well
         (only,) = document["garments"].values()
         document |= only["model"]
@@ -108,7 +112,15 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
         model, out = _model_file(options.run, kind), options.run / ALTERNATED / kind
         train = following("train", f"{options.run / kind}.npz", "--scans", options.run, "--model", model, "-o", out)
         print(f"next: {train}")
-    return 1 if document["failed"] else 0
+    return 1 if failed else 0
+
+
+def _failed_before(run: Path) -> dict[str, str]:
+    """What an earlier run said of garments that it could not fit."""
+    try:
+        return dict(json.loads((run / RESULT).read_text(encoding="utf-8"))["failed"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
 
 
 def _model_file(run: Path, kind: str) -> Path:

@@ -11,6 +11,7 @@ from benchmarks._panel import Stills, frame, panel, turns
 from caphy.cli import main
 from caphy.effects.model import Model
 from caphy.effects.presets import fabric_model, snug_model
+from caphy.errors import CaphyError
 from caphy.fabric.curves import STRAINS, bending, figures, tension
 from caphy.garment.template import write_npz
 from caphy.register.points import FOLDER, ScanPoints
@@ -91,6 +92,36 @@ def test_one_garment_at_a_time_is_told_as_both(run, tmp_path, monkeypatch, capsy
     panel(SIDE).save(folder / "lower.npz")
     assert fitted("--garments", "lower") == {"lower": "response"}
     assert "what it said of the upper garment is lost; do it again" in capsys.readouterr().out
+
+
+def test_a_garment_that_cannot_be_fitted_again_leaves_no_older_fabric(run, tmp_path, monkeypatch):
+    """Its model would lie beside a record that does not tell of it; what failed is told until it is done again."""
+    folder = Path(shutil.copytree(run, tmp_path / "run"))
+    panel(SIDE).save(folder / "lower.npz")
+    fits, fails = [], set()
+
+    def fit(options, base, subject, points, kind, kept):
+        fits.append(kind)
+        if kind in fails:
+            raise CaphyError("three scans are needed")
+        found = {"stiffness": {}, "scans": 3, "rounds": [], "settled": True, "model": json.loads(base.to_json())}
+        return found, base, base
+
+    def fitted(code: int, *options: str) -> tuple[list[str], dict[str, str]]:
+        assert main(["fabric", str(folder), *options]) == code
+        told = json.loads((folder / "fabric.json").read_text())
+        assert sorted(told["garments"]) == sorted(path.stem[7:] for path in folder.glob("fabric_*.json"))
+        return sorted(told["garments"]), told["failed"]
+
+    monkeypatch.setattr("caphy.commands.fabric._fit", fit)
+    assert fitted(0) == (["lower", "upper"], {})
+    fails.add("lower")
+    assert fitted(1) == (["upper"], {"lower": "three scans are needed"})
+    fits.clear()
+    assert fitted(0, "--garments", "upper", "upper") == (["upper"], {"lower": "three scans are needed"})
+    assert fits == ["upper"]
+    fails.clear()
+    assert fitted(0, "--garments", "lower") == (["lower", "upper"], {})
 
 
 @pytest.mark.parametrize(("along", "sign"), [("weft", 1), ("warp", -1)])
