@@ -73,5 +73,5 @@ def from_4d_dress(take: Positional[Path], output: Annotated[Path, OUTPUT], every
 
     if every < 1:
         raise CaphyError(f"--every must be at least 1, got {every}")
-    scans = convert_take(take, output, every, say=lambda message: print(f"left out: {message}"))
+    scans = convert_take(take, output, every, say=print)
     print(f"{output}: {len(scans)} scans" + ("" if scans.poses is not None else ", without poses"))

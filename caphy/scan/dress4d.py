@@ -30,7 +30,8 @@ Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 def convert_take(
     take: Path, folder: Path, every: int = 1, say: Callable[[str], None] = lambda message: None
 ) -> ScanSet:
-    """Write every ``every``-th frame of a take as a scan set; ``say`` is told of frames that had to be left out.
+    """Write every ``every``-th frame of a take as a scan set; ``say`` is told of frames that had to be left out,
+    and of one without SMPL-X where others have it: then there are no initial poses.
 
     Raises:
         CaphyError: the folder is no take, or none of its frames can be read.
@@ -41,17 +42,21 @@ def convert_take(
     strays = {path.stem for path in folder.glob("*.ply")} - {f"f{_frame(path)}" for path in meshes}
     if strays:
         raise CaphyError(f"{folder}: holds other scans ({', '.join(sorted(strays)[:3])}); give an empty folder")
-    frames: list[Motion | None] = []
+    frames: dict[str, Motion | None] = {}
     scans = _readable(take, meshes, frames, say)  # one at a time: a take may not fit into memory
     first = next(scans, None)
     if first is None:
         raise CaphyError(f"{take}: none of its {len(meshes)} frames can be read; see the messages above")
     write_scans(folder, chain([first], scans))
-    return write_scan_set(folder, [], take.name, _poses(take, frames))
+    bare = [name for name, motion in frames.items() if motion is None]
+    if 0 < len(bare) < len(frames):
+        which = f"frame {bare[0]}" + (f" and {len(bare) - 1} more" if len(bare) > 1 else "")
+        say(f"note: {take}: no initial poses are written, for lack of SMPLX/mesh-fNNNNN_smplx.pkl of {which}")
+    return write_scan_set(folder, [], take.name, _poses(take, list(frames.values())))
 
 
 def _readable(
-    take: Path, meshes: Sequence[Path], frames: list[Motion | None], say: Callable[[str], None]
+    take: Path, meshes: Sequence[Path], frames: dict[str, Motion | None], say: Callable[[str], None]
 ) -> Iterator[Scan]:
     """Scans that can be read, whose motions are added to ``frames``."""
     for path in meshes:
@@ -59,9 +64,9 @@ def _readable(
             scan, motion = _scan(take, path), _motion(take, path)
             _poses(path, [motion])  # raises unless it is one
         except CaphyError as error:
-            say(str(error))
+            say(f"left out: {error}")
             continue
-        frames.append(motion)
+        frames[scan.name] = motion
         yield scan
 
 

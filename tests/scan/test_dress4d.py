@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from caphy.cli import main
 from caphy.errors import CaphyError
 from caphy.scan import dress4d
 from caphy.scan.dress4d import convert_take
@@ -89,6 +90,19 @@ def test_a_frame_whose_motion_is_no_number_is_left_out(tmp_path):
     said = []
     scans = convert_take(take, tmp_path / "set", say=said.append)
     assert scans.names == ("f00001",) and scans.poses is not None and len(said) == 1 and "f00002" in said[0]
+
+
+def test_a_frame_without_a_motion_is_said_to_cost_all_poses(tmp_path, capsys):
+    take = _take(tmp_path / "Take1", ("00001", "00002", "00003"))
+    (take / "SMPLX" / "mesh-f00002_smplx.pkl").unlink()
+    assert main(["scans", "from-4d-dress", str(take), "--output", str(tmp_path / "set")]) == 0
+    said = capsys.readouterr().out
+    assert "no initial poses are written" in said and "of frame f00002\n" in said
+    assert len(ScanSet.read(tmp_path / "set")) == 3
+    for path in (take / "SMPLX").iterdir():
+        path.unlink()
+    said = []
+    assert convert_take(take, tmp_path / "other", say=said.append).poses is None and not said  # none were given
 
 
 def test_every_other_frame(tmp_path):
