@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,10 @@ from caphy.io.places import write_text
 if TYPE_CHECKING:
     from caphy.training.collide import Collider
     from caphy.training.loop import Trainer
+
+
+COLLIDED = "fine_tuned_on_collisions"
+"""Where a record tells of each fine-tuning, and so the avatar that is made of it."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +84,22 @@ def prepare(options: Collide) -> Collider:
     for folder in () if options.resume else folders:
         own = options.output / folder.resolve().name
         own.mkdir(parents=True, exist_ok=True)
-        for kept in (GARMENT, MODEL, RECORD):
+        for kept in (GARMENT, MODEL):
             shutil.copyfile(folder / kept, own / kept)
+        write_text(own / RECORD, _recorded(folder / RECORD, names, options))
         write_text(own / OPTIONS, copied(folder, own))
     print(f"from the inside out: {', '.join(names)}; {collider.schedule.steps} steps")
     return collider
+
+
+def _recorded(path: Path, names: list[str], options: Collide) -> str:
+    """A training's record with this fine-tuning in it, after earlier ones."""
+    try:
+        record = dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise CaphyError(f"{path}: must be as 'caphy train' wrote it, and cannot be read ({error})") from error
+    now = {"from_the_inside_out": names, "epochs": options.epochs, "seed": options.seed}
+    return json.dumps({**record, COLLIDED: [*record.get(COLLIDED, []), now]}, indent=2) + "\n"
 
 
 def _hidden(trainer: Trainer) -> bool:

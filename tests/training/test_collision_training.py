@@ -23,6 +23,7 @@ from caphy.effects.potential import Potential
 from caphy.effects.presets import snug_model
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
+from caphy.io.bundle import read_bundle
 from caphy.io.poses import write_poses
 from caphy.network.files import load_network
 from caphy.network.garment_network import GarmentNetwork
@@ -208,6 +209,9 @@ def test_the_command_asks_the_scans_what_is_worn_inside(tmp_path, hidden, device
     if hidden == "lower":
         fine_tuned = [str(tmp_path / "out" / part) for part in ("upper", "lower")]
         assert main(["export", *fine_tuned, "-o", str(tmp_path / "avatar")]) == 0
+        was = [{"from_the_inside_out": ["lower", "upper"], "epochs": 1, "seed": 0}]
+        for each in read_bundle(tmp_path / "avatar").provenance["garments"].values():
+            assert each["training"]["fine_tuned_on_collisions"] == was and each["training"]["steps"] == 2
         together = prepare(Collide((tmp_path / "upper", tmp_path / "lower"), tmp_path / "again", epochs=1))
         random, scans = (tracks[0].streams for tracks in together.turns)
         together.step()  # random poses and scans take turns
