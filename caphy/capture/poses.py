@@ -26,7 +26,8 @@ def capture_poses(clips: Path | None, count: int, body: BodyModel, seed: int) ->
     """``count`` poses as the frames of one sequence: the A-pose, then stills of the clips in a folder.
 
     Without a folder they come from procedural motions. Each person stands over the origin, on y = 0. Stills are
-    chosen to be unlike one another: the farthest from those already chosen, of five times as many drawn at random.
+    chosen to be unlike the A-pose and one another: the farthest from those already chosen, of five times as many drawn
+    at random.
 
     Raises:
         CaphyError: the clips cannot be read, or hold too few stills.
@@ -87,9 +88,10 @@ def _stills(clip: PoseSequence) -> np.ndarray:
 
 
 def _unlike(pool: np.ndarray, count: int) -> np.ndarray:
-    """Indices (count,) of poses (N, 55, 3), each farthest from those before it; headings do not count."""
-    seen = matrix_from_axis_angle(pool[:, 1:BODY_JOINT_COUNT]).reshape(len(pool), -1)
-    chosen, distance = [], np.linalg.norm(seen - np.tile(np.eye(3).ravel(), BODY_JOINT_COUNT - 1), axis=1)
+    """Indices (count,) of poses (N, 55, 3), each farthest from the A-pose and those before it; headings count not."""
+    every = matrix_from_axis_angle(np.stack([a_pose(), *pool])[:, 1:BODY_JOINT_COUNT]).reshape(1 + len(pool), -1)
+    seen = every[1:]
+    chosen, distance = [], np.linalg.norm(seen - every[0], axis=1)
     for _ in range(min(count, len(pool))):
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(seen - seen[chosen[-1]], axis=1))
