@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from caphy.capture.cameras import View
+from caphy.errors import CaphyError
 from caphy.jit import compiled
 
 LEAST_VIEWS = 2
@@ -37,25 +38,37 @@ def fuse(views: list[View], voxel: float, noise: float, dropouts: int, random: n
 
     The noise of many cameras averages out in fusion; what is left in real scans is correlated over about a voxel, so
     noise of the wanted size is added to the vertices and smoothed over neighbours once.
+
+    Raises:
+        CaphyError: no surface is left.
     """
     from skimage.measure import marching_cubes
 
-    points = np.concatenate([_points(view) for view in views])
+    points = _some(np.concatenate([_points(view) for view in views]))
     low = points.min(axis=0) - 4 * voxel
     shape = tuple(np.ceil((points.max(axis=0) + 4 * voxel - low) / voxel).astype(int) + 1)
     near = _near_surface(points, low, voxel, shape)
     value, count = _field(views, near, low, voxel)
     grid, seen = np.full(shape, 1.0, np.float32), np.zeros(shape, bool)
     grid[tuple(near.T)], seen[tuple(near.T)] = value, count >= LEAST_VIEWS
+    _some(np.flatnonzero(seen & (grid < 0)))
     vertices, faces, _, _ = marching_cubes(grid, 0.0, mask=seen, gradient_direction="descent")
     faces = faces[_all_corners_seen(vertices, seen)[faces].all(axis=1)]
     vertices = vertices * voxel + low
     colours, labels, views_of = _painted(views, vertices, CONFIRMED * voxel)
-    faces = faces[(views_of >= LEAST_VIEWS)[faces].all(axis=1)]
-    faces = _without_holes_of_dropouts(vertices, faces, dropouts, random)
+    faces = _some(faces[(views_of >= LEAST_VIEWS)[faces].all(axis=1)])
+    faces = _some(_without_holes_of_dropouts(vertices, faces, dropouts, random))
     used, faces = _without_crumbs(len(vertices), faces)
+    _some(faces)
     vertices = vertices[used] + _noise(vertices[used], faces, noise, random)
     return Fused(vertices, faces.astype(np.int32), colours[used], labels[used])
+
+
+def _some(parts: np.ndarray) -> np.ndarray:
+    """Parts of a surface, as they are; raises where there are none."""
+    if not len(parts):
+        raise CaphyError("a scan must have a surface, and has none; ask for less noise, fewer dropouts, more pixels")
+    return parts
 
 
 def _points(view: View) -> np.ndarray:

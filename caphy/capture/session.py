@@ -25,10 +25,10 @@ from caphy.capture.subject import Fabric, Lower, Subject, Upper, make_subject
 from caphy.errors import CaphyError
 from caphy.garment.families import FAMILIES
 from caphy.garment.template import Garment, read_npz, write_npz
-from caphy.io.places import write_bytes, write_text
+from caphy.io.places import writable_folder, write_bytes, write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.poses.canonical import write_poses
-from caphy.pipeline.stage import fingerprint
+from caphy.pipeline.stage import UNFINISHED, fingerprint
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def capture(plan: Plan, folder: Path, progress: Progress | None = None) -> None:
     """Capture a session into ``folder``, or what is missing of it.
 
     Raises:
-        CaphyError: the folder holds another session, or none can follow from the plan.
+        CaphyError: the folder holds another session or files of somebody's, or none can follow from the plan.
     """
     _check(plan)
     scans, truth = folder / "scans", folder / "truth"
@@ -71,9 +71,9 @@ def capture(plan: Plan, folder: Path, progress: Progress | None = None) -> None:
         subject = _subject(plan, truth)
         poses = _poses(plan, truth, subject)
     except CaphyError:
-        if begun:  # another plan may follow the advice in the same folder
-            for name in ("plan.json", "subject.json", "poses.npz"):
-                (truth / name).unlink(missing_ok=True)
+        if begun:  # another plan may follow the advice in the same folder, in which all is this one's
+            for path in sorted(truth.iterdir(), key=lambda path: path.name == "plan.json"):  # which claims the rest
+                path.unlink()
         raise
     scans.mkdir(parents=True, exist_ok=True)
     rig = Rig(subject, poses, plan.optics, plan.seed, Dresser(subject, poses, plan.simulate))
@@ -105,14 +105,16 @@ def _check(plan: Plan) -> None:
         raise CaphyError(f"a session needs at least one scan, got {plan.count}")
     if plan.seed < 0:
         raise CaphyError(f"a seed must not be negative, got {plan.seed}")
-    for name, length in (("edge_length", plan.edge_length), ("voxel", optics.voxel)):
-        if not 0 < length < float("inf"):
-            raise CaphyError(f"{name} must be positive and finite [m], got {length}")
-    for name, size in (("pose_error", plan.pose_error), ("noise", optics.noise), ("dropouts", optics.dropouts)):
+    if not 0 < plan.edge_length < float("inf"):
+        raise CaphyError(f"edge_length must be positive and finite [m], got {plan.edge_length}")
+    for name, size, low, high in (("voxel", optics.voxel, 0.002, 0.05), ("noise", optics.noise, 0, 0.05)):
+        if not low <= size <= high:  # else there is no surface, or no memory for it
+            raise CaphyError(f"{name} must lie in [{low}, {high}] m, got {size}")
+    for name, size in (("pose_error", plan.pose_error), ("dropouts", optics.dropouts)):
         if not 0 <= size < float("inf"):
             raise CaphyError(f"{name} must be finite and not negative, got {size}")
-    if min(optics.pixels) < 1:
-        raise CaphyError(f"a picture needs a width and a height of at least one pixel, got {optics.pixels}")
+    if not 1 <= min(optics.pixels) <= max(optics.pixels) <= 4096:
+        raise CaphyError(f"a picture's width and height must lie in [1, 4096] pixels, got {optics.pixels}")
 
 
 def write_ply(path: Path, scan: Fused) -> None:
@@ -136,6 +138,8 @@ def _claim(plan: Plan, folder: Path, truth: Path) -> bool:
     path, told = truth / "plan.json", asdict(plan)
     told[_CONTENT] = None if plan.clips is None else fingerprint(Path(plan.clips))
     if not path.is_file():
+        for place in (folder / "scans", truth):
+            _require_empty(place)
         write_text(path, json.dumps(told, indent=1))
         return True
     before = _read(path)
@@ -146,12 +150,29 @@ def _claim(plan: Plan, folder: Path, truth: Path) -> bool:
     return False
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """The JSON that a session was made with."""
+def _require_empty(folder: Path) -> None:
+    """Raises :class:`CaphyError` where something lies in a folder of which no plan tells that caphy wrote it."""
+    for path in sorted(writable_folder(folder).glob("*")):
+        if not path.name.endswith(UNFINISHED):  # else a kill amid the plan left it
+            raise CaphyError(
+                f"{folder}: a session would be written there, and it holds {path.name!r} of no session; move it, or "
+                "choose another folder"
+            )
+
+
+def _read(path: Path, *keys: str) -> dict[str, Any]:
+    """The JSON that a session was made with, which must be an object with some keys."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        told = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(told, dict) or not set(keys) <= set(told):
+            raise ValueError(" and ".join(("an object is needed", *(f"{key!r} in it" for key in keys))))
     except (OSError, ValueError) as error:
-        raise CaphyError(f"{path}: cannot be read ({error}); delete the session and capture it again") from error
+        raise _damaged(path, error) from error
+    return told
+
+
+def _damaged(path: Path, error: Exception) -> CaphyError:
+    return CaphyError(f"{path}: cannot be read ({error}); delete the session and capture it again")
 
 
 def _subject(plan: Plan, truth: Path) -> Subject:
@@ -198,10 +219,16 @@ def _write_subject(subject: Subject, truth: Path) -> None:
 
 
 def read_subject(truth: Path) -> Subject:
-    """The subject of a session's ``truth`` folder."""
+    """The subject of a session's ``truth`` folder; raises :class:`CaphyError` where it is damaged."""
     from caphy.capture.subject import frozen
 
-    plan, told = _read(truth / "plan.json"), _read(truth / "subject.json")["garments"]
+    plan, path = _read(truth / "plan.json", "body"), truth / "subject.json"
+    told = _read(path, "garments")["garments"]
+    try:
+        fabrics = {label: Fabric(**given["fabric"]) for label, given in told.items()}
+        families = {label: FAMILIES[given["family"]](**given["options"]) for label, given in told.items()}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise _damaged(path, error) from error
     arrays = read_npz(truth / "body.npz")
     return Subject(
         body=frozen(default_body(plan["body"]), arrays["v_template"], arrays["joints"]),
@@ -209,8 +236,8 @@ def read_subject(truth: Path) -> Subject:
         displacement=arrays["displacement"],
         garments={label: Garment.load(truth / f"{label}.npz") for label in told},
         rough={label: Garment.load(truth / f"{label}_rough.npz") for label in told},
-        fabrics={label: Fabric(**given["fabric"]) for label, given in told.items()},
-        families={label: FAMILIES[given["family"]](**given["options"]) for label, given in told.items()},
+        fabrics=fabrics,
+        families=families,
     )
 
 

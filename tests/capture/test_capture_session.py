@@ -18,11 +18,11 @@ from caphy.capture import drape
 from caphy.capture.drape import FINE, Dresser
 from caphy.capture.fusion import _noise
 from caphy.capture.optics import Optics
-from caphy.capture.poses import capture_poses
+from caphy.capture.poses import a_pose, capture_poses
 from caphy.capture.session import _claim, capture, read_subject
 from caphy.capture.subject import ROUGH, make_subject
 from caphy.errors import CaphyError
-from caphy.io.poses import read_poses
+from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.poses.canonical import write_poses
 from caphy.io.procedural import procedural_motion
 
@@ -115,6 +115,18 @@ def test_too_few_motions_for_so_many_scans(tmp_path):
     assert len(capture_poses(tmp_path, 5, default_body("medium"), seed=0)) == 5
 
 
+def test_the_a_pose_is_captured_once(tmp_path):
+    """Of the clip's four poses it is the farthest from arms held out, and the three others are asked for."""
+    still = np.zeros((4, 55, 3))
+    still[0] = a_pose()
+    for index, degrees in enumerate((30.0, 20.0, 10.0), 1):
+        still[index, 16, 2], still[index, 17, 2] = -np.radians(degrees), np.radians(degrees)
+    write_poses(PoseSequence(still, np.zeros((4, 3)), fps=5.0), tmp_path / "clip.npz")
+    captured = capture_poses(tmp_path, 4, default_body("medium"), seed=0).poses
+    np.testing.assert_allclose(captured[0], a_pose(), atol=1e-6)
+    assert sorted(np.degrees(captured[1:, 17, 2])) == pytest.approx([10, 20, 30], abs=1e-4)
+
+
 def test_the_body_is_nobody_s_shape_exactly(subject):
     shape = default_body("medium").rest(subject.betas)[0]
     assert subject.body.v_template == pytest.approx(shape + subject.displacement, abs=1e-6)
@@ -163,6 +175,48 @@ def test_a_session_goes_on_with_motions_that_were_moved_but_not_with_others(tmp_
         _claim(replace(PLAN, clips=str(tmp_path / "two")), truth.parent, truth)
 
 
+@pytest.mark.parametrize("name", ["scans", "truth"])
+def test_files_of_no_session_are_not_overwritten(name, tmp_path):
+    mine = tmp_path / "session" / name / "scan_000.ply"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    with pytest.raises(CaphyError, match=rf"{name}: a session would be written there, and it holds 'scan_000.ply'"):
+        capture(PLAN, tmp_path / "session")
+    assert [path for path in (tmp_path / "session").rglob("*") if path.is_file()] == [mine]
+    assert mine.read_text() == "mine"
+
+
+def test_a_session_begins_where_a_kill_left_half_a_plan(tmp_path):
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / ".plan.json-ab12_3cd.partial").write_text('{"seed":')
+    assert _claim(PLAN, tmp_path, tmp_path / "truth")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("subject.json", "{}"),
+        ("subject.json", "[]"),
+        ("subject.json", '{"garments": ["upper"]}'),
+        ("subject.json", '{"garments": {"upper": {"family": "toga", "options": {}, "fabric": {}}}}'),
+        ("plan.json", "[]"),
+        ("plan.json", "3"),
+    ],
+)
+def test_a_damaged_truth_is_told(session, tmp_path, name, content):
+    again = shutil.copytree(session, tmp_path / "again")
+    (again / "truth" / name).write_text(content)
+    with pytest.raises(CaphyError, match=rf"{name}: cannot be read .*delete the session"):
+        capture(PLAN, again)
+
+
+def test_a_scan_without_a_surface_is_told(tmp_path):
+    """Cameras of four pixels in all."""
+    with pytest.raises(CaphyError, match="must have a surface"):
+        capture(replace(PLAN, optics=replace(PLAN.optics, pixels=(2, 2))), tmp_path / "session")
+    assert not list((tmp_path / "session").rglob("*.ply"))
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -170,8 +224,14 @@ def test_a_session_goes_on_with_motions_that_were_moved_but_not_with_others(tmp_
         {"edge_length": 0.0},
         {"pose_error": float("nan")},
         {"optics": Optics(noise=float("nan"))},
+        {"optics": Optics(noise=-0.001)},
+        {"optics": Optics(noise=1.0)},
         {"optics": Optics(voxel=float("nan"))},
+        {"optics": Optics(voxel=0.0001)},
+        {"optics": Optics(voxel=6.0)},
+        {"optics": Optics(dropouts=-1)},
         {"optics": Optics(pixels=(0, 0))},
+        {"optics": Optics(pixels=(320, 100_000))},
     ],
 )
 def test_a_plan_that_cannot_be_leaves_its_folder_alone(wrong, tmp_path):
