@@ -196,14 +196,20 @@ def curve_sentences(rows: list[dict]) -> list[str]:
     said = [f"The model's forces are {100 * relative:.0f} % off (median over {many}, rms over each)."]
     whole = [row for row in rows if None not in row["mean_error_by_third_n_per_m"]]
     low, high = ([_error_that_matters(row, third) for row in whole] for third in (0, 2))
-    often = " in four of five loadings or more" if len(high) > 1 else ""
     if low and np.mean(np.array(low) > 0) >= 0.8 and np.mean(np.array(high) < 0) >= 0.8:
         said.append("It is too stiff at small and too soft at large strains: the cloth stiffens, the model does not.")
     elif high and np.mean(np.array(high) > 0) >= 0.8:
-        said.append(f"It is too stiff at large strains{often}.")
+        said.append(f"It is too stiff at large strains{_often(sum(each > 0 for each in high), len(high))}.")
     elif high and np.mean(np.array(high) < 0) >= 0.8:
-        said.append(f"It is too soft at large strains{often}.")
+        said.append(f"It is too soft at large strains{_often(sum(each < 0 for each in high), len(high))}.")
     return [*said, *_anisotropy(rows)]
+
+
+def _often(some: int, count: int) -> str:
+    if count == 1:
+        return ""
+    each = "both" if count == 2 else f"all {count}"
+    return f" in {each if some == count else f'{some} of {count}'} loadings"
 
 
 def _error_that_matters(row: dict, third: int) -> float:

@@ -52,6 +52,22 @@ def test_rounding_is_neither_too_stiff_nor_too_soft():
         assert len(said) == says and "over 1 loading," in said[0]
 
 
+@pytest.mark.parametrize(
+    ("offs", "says"),
+    [((0.2, 0.2), "in both loadings"), ((0.2,) * 3, "in all 3 loadings"), ((0.2,) * 4 + (0,), "4 of 5")],
+)
+def test_how_many_loadings_say_so_is_counted(offs, says):
+    """Of two it was in "four of five or more"."""
+    axial, model = np.linspace(0, 0.25, 60), stvk(20.9, 11.1)
+    own = model_curve(model, axial, "weft")
+    forces = [(1 - off * axial / 0.25) * own.force for off in offs]
+    rows = [
+        compare_curve(model, ForceCurve("mine", "weft", i + 1, axial, own.transverse, force, "mine.csv"))
+        for i, force in enumerate(forces)
+    ]
+    assert any("too stiff at large strains" in said and says in said for said in curve_sentences(rows))
+
+
 def test_it_is_the_same_whichever_way_rows_run():
     axial = np.linspace(0, 0.25, 60)
     pulled = {"weft": 900.0 * axial, "warp": 520.0 * axial}
