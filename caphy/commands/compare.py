@@ -62,7 +62,7 @@ def main(arguments: list[str]) -> None:
     tables = [path for path in command.measurements if path.suffix.lower() == ".csv"]
     curves = [_compared_curves(command, path) for path in tables]
     films = [path for path in command.measurements if path not in tables]
-    title = f"{_title(command.model)} against {_listed(command.measurements)}"
+    title = f"{_title(Path(command.model))} against {_listed(command.measurements)}"
     with unfinished(command.output / _UNFINISHED) as kept:
         write(_compared(command, films, kept), curves, title, command)
 
@@ -139,10 +139,13 @@ def _compared_curves(command: Compare, path: Path) -> dict:
 def _compared(command: Compare, films: Sequence[Path], kept: Path) -> list[Comparison]:
     from caphy.effects.model import Model
     from caphy.io.measurements import read_measurement
+    from caphy.measure.remarks import remarks
 
     if not films:
         return []
     model, measured = load_model(command.model, command.effect_file), [read_measurement(path) for path in films]
+    for note in remarks(measured, every_frame=not isinstance(model, Model)):
+        print(f"Note: {note}.")
     if isinstance(model, Model):
         return _with_physics(command, model, measured, kept)
     return [_with_avatar(command, model, measurement) for measurement in measured]
@@ -154,7 +157,6 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     from caphy.commands.body import load_body
     from caphy.garment.template import Garment
     from caphy.measure.comparison import compare
-    from caphy.measure.remarks import remarks
     from caphy.measure.scene import Scene
     from caphy.refit.crew import Crew
 
@@ -162,8 +164,6 @@ def _with_physics(command: Compare, model: Model, measured: Sequence[Measurement
     garment = None if command.garment is None else Garment.load(command.garment)
     body = None if command.body is None else load_body(command.body)
     scenes = [Scene.of(measurement, garment, body) for measurement in measured]
-    for note in remarks(measured):
-        print(f"Note: {note}.")
     found = []
     with Crew(command.effect_file, kept=kept) as crew:
         for scene in scenes:
@@ -236,10 +236,11 @@ class Progress:
         self._bar.update(done - self._bar.n)
 
 
-def _title(model: str) -> str:
-    return Path(model).stem
+def _title(path: Path) -> str:
+    """A file's name without its ending; a folder's whole name."""
+    return path.absolute().name if path.is_dir() else path.stem
 
 
 def _listed(paths: Sequence[Path]) -> str:
-    names = [path.stem for path in paths]
+    names = [_title(path) for path in paths]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

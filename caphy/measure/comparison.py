@@ -8,9 +8,10 @@ import numpy as np
 
 from caphy.io.measurements import Measurement
 from caphy.measure.covariates import Covariate, covariates
-from caphy.measure.errors import Errors, SurfaceErrors, surface_errors, vertex_errors
-from caphy.measure.noise import measurement_noise, overstated, understated
+from caphy.measure.errors import Errors, SurfaceErrors, picked, surface_errors, vertex_errors
+from caphy.measure.noise import measurement_noise, noise_distance, stated_of_cloud
 from caphy.measure.prediction import Prediction
+from caphy.measure.remarks import remarks
 from caphy.measure.sentences import sentences
 from caphy.measure.statistics import MILLI, binned, chances, contrast, interval, mean_mm, summary
 
@@ -41,15 +42,16 @@ def compare(prediction: Prediction, measurement: Measurement, names: np.ndarray 
     errors = vertex_errors(prediction, measurement) if prediction.registered else surface.of_points
     regions = region_names(prediction, names)
     found = covariates(prediction, measurement)
+    sigma = _sigma(prediction, measurement, errors)
     figures = {
-        "measurement": _about(measurement),
+        "measurement": _about(measurement, prediction),
         "prediction": _prediction(prediction),
         "error": _overall(errors, surface, prediction),
-        "floor": _floor(prediction, measurement, errors),
+        "floor": _floor(prediction, measurement, errors, sigma),
         "by_frame": _by_frame(prediction, errors, surface, measurement),
         "by_lag": _by_lag(prediction, errors),
-        "by_region": _by_region(prediction, errors, regions),
-        "by_covariate": _by_covariate(found, errors, prediction),
+        "by_region": _by_region(prediction, errors, regions, sigma),
+        "by_covariate": _by_covariate(found, errors, prediction, sigma),
         "moments": _moments(prediction, measurement, errors, regions),
     }
     figures["sentences"] = sentences(figures)
@@ -66,7 +68,7 @@ def region_names(prediction: Prediction, names: np.ndarray | None) -> np.ndarray
     return np.array(["lower third", "middle third", "upper third"])[third]
 
 
-def _about(measurement: Measurement) -> dict:
+def _about(measurement: Measurement, prediction: Prediction) -> dict:
     return {
         "name": measurement.name,
         "source": measurement.source,
@@ -76,7 +78,8 @@ def _about(measurement: Measurement) -> dict:
         "frames_seen": len(measurement.seen_frames),
         "registered": measurement.registered,
         "holes": float(1 - measurement.observed[measurement.seen_frames].mean()) if measurement.registered else None,
-        "notes": [*measurement.notes, *filter(None, [overstated(measurement), understated(measurement)])],
+        "notes": list(measurement.notes),
+        "remarks": remarks([measurement], every_frame=prediction.lag is None),
     }
 
 
@@ -115,27 +118,62 @@ def _median_interval(distance: np.ndarray, window: np.ndarray) -> tuple[float, f
     return interval(lambda rows: MILLI * float(np.median(np.concatenate([found[row] for row in rows]))), window)
 
 
-def _floor(prediction: Prediction, measurement: Measurement, errors: Errors) -> dict:
-    """What noise, time step, mesh and restarts explain of the median, and what they leave, in quadrature."""
+def _sigma(prediction: Prediction, measurement: Measurement, errors: Errors) -> np.ndarray | None:
+    """Standard deviation of the noise of each coordinate where errors are (N, P) [m]; none where none is known."""
     noise = measurement_noise(measurement)
-    step = None if prediction.step_error is None else summary(prediction.step_error)["median_mm"]
-    mesh = None if prediction.mesh_error is None else summary(prediction.mesh_error)["median_mm"]
-    start = None if prediction.start_error is None else summary(prediction.start_error)["median_mm"]
-    # Of a distance to a surface only the noise across it counts; its median is 0.67 sigma.
-    expected = None if noise is None else MILLI * (noise.median if prediction.registered else noise.median_across)
-    total = summary(errors.distance)["median_mm"]
-    explained = sum((part or 0) ** 2 for part in (expected, step, mesh, start)) ** 0.5
+    if noise is None:
+        return None
+    same = np.full(errors.distance.shape, noise.sigma)
+    if measurement.noise is None:
+        return same
+    found = np.full(errors.distance.shape, np.nan)
+    for row, frame in zip(found, prediction.frames, strict=True):
+        stated = stated_of_cloud(measurement, int(frame))
+        if prediction.registered:
+            row[measurement.observed[frame]] = stated
+        else:
+            row[: len(picked(stated))] = picked(stated)
+    return found if np.isfinite(found).any() else same
+
+
+def _expected(sigma: np.ndarray | None, counted: np.ndarray, prediction: Prediction, share: float) -> float | None:
+    """How far off [mm] noise leaves a share of the errors that count (N, P); none where none is known.
+
+    Of a distance to a surface only the noise across it counts."""
+    known = np.zeros(0) if sigma is None else sigma[counted & np.isfinite(sigma)]
+    return MILLI * noise_distance(known, 3 if prediction.registered else 1, share) if len(known) else None
+
+
+def _parts(prediction: Prediction, vertices: np.ndarray | None = None) -> dict[str, dict]:
+    """What time step, mesh and restarts do to vertices (V,), all unless given, in summary; those that were told."""
+    given = {"time_step": prediction.step_error, "mesh": prediction.mesh_error, "restart": prediction.start_error}
+    return {
+        name: summary(error if vertices is None else error[:, vertices])
+        for name, error in given.items()
+        if error is not None
+    }
+
+
+def _floor(prediction: Prediction, measurement: Measurement, errors: Errors, sigma: np.ndarray | None) -> dict:
+    """What noise, time step, mesh and restarts explain of the median, and what they leave, in quadrature."""
+    noise, parts, counted = measurement_noise(measurement), _parts(prediction), np.isfinite(errors.distance)
+    expected, total = _expected(sigma, counted, prediction, 0.5), summary(errors.distance)["median_mm"]
+    explained = _together(expected, parts, "median_mm")
     left = None if total is None else max(total**2 - explained**2, 0) ** 0.5
     return {
         "noise_sigma_mm": None if noise is None else MILLI * noise.sigma,
         "noise_source": None if noise is None else noise.source,
         "noise_median_mm": expected,
-        "time_step_median_mm": step,
-        "mesh_median_mm": mesh,
-        "restart_median_mm": start,
+        **{f"{name}_median_mm": parts.get(name, {}).get("median_mm") for name in ("time_step", "mesh", "restart")},
         "explained_mm": explained,
+        "explained_p95_mm": _together(_expected(sigma, counted, prediction, 0.95), parts, "p95_mm"),
         "unexplained_mm": left,
     }
+
+
+def _together(noise: float | None, parts: dict[str, dict], name: str) -> float:
+    """In quadrature."""
+    return sum((each or 0) ** 2 for each in (noise, *(part[name] for part in parts.values()))) ** 0.5
 
 
 def _by_frame(prediction: Prediction, errors: Errors, surface: SurfaceErrors, measurement: Measurement) -> dict:
@@ -156,11 +194,12 @@ def _by_lag(prediction: Prediction, errors: Errors) -> list[dict]:
     return [{"lag": int(k), **summary(errors.distance[prediction.lag == k])} for k in np.unique(prediction.lag)]
 
 
-def _by_region(prediction: Prediction, errors: Errors, regions: np.ndarray) -> list[dict]:
+def _by_region(prediction: Prediction, errors: Errors, regions: np.ndarray, sigma: np.ndarray | None) -> list[dict]:
     """Regions from the worst to the best."""
     rows = []
     for name in np.unique(regions):
         part = (regions == name)[errors.vertex]
+        counted, parts = part & np.isfinite(errors.distance), _parts(prediction, regions == name)
         distance, down = (np.where(part, values, np.nan) for values in (errors.distance, errors.down))
         rows.append(
             {
@@ -171,6 +210,8 @@ def _by_region(prediction: Prediction, errors: Errors, regions: np.ndarray) -> l
                 "along_mm": summary(errors.along[part])["median_mm"],
                 "down_mm": mean_mm(down),
                 "down_interval_mm": _mean_interval(down, prediction.window),
+                "explained_mm": _together(_expected(sigma, counted, prediction, 0.5), parts, "median_mm"),
+                "explained_p95_mm": _together(_expected(sigma, counted, prediction, 0.95), parts, "p95_mm"),
             }
         )
     return sorted(rows, key=lambda row: -(row["median_mm"] or 0))
@@ -183,10 +224,12 @@ def _mean_interval(values: np.ndarray, window: np.ndarray) -> tuple[float, float
     return interval(lambda rows: MILLI * float(total[rows].sum() / max(count[rows].sum(), 1)), window)
 
 
-def _by_covariate(found: list[Covariate], errors: Errors, prediction: Prediction) -> list[dict]:
+def _by_covariate(
+    found: list[Covariate], errors: Errors, prediction: Prediction, sigma: np.ndarray | None
+) -> list[dict]:
     """What the error depends on, each alone; ``chance``: how often the best of all would show as much by chance."""
     values = [_at_errors(covariate.values, errors, prediction) for covariate in found]
-    return [
+    rows = [
         {
             "name": covariate.name,
             "unit": covariate.unit,
@@ -199,6 +242,11 @@ def _by_covariate(found: list[Covariate], errors: Errors, prediction: Prediction
             found, values, chances(values, errors.distance, prediction.window), strict=True
         )
     ]
+    for row, each in zip(rows, values, strict=True):
+        if (known := row["contrast"]) is not None:
+            above = np.isfinite(errors.distance) & (each > known["high"])
+            known["noise_above_mm"] = _expected(sigma, above, prediction, 0.5)
+    return rows
 
 
 def _at_errors(values: np.ndarray, errors: Errors, prediction: Prediction) -> np.ndarray:

@@ -41,7 +41,7 @@ def covariates(prediction: Prediction, measurement: Measurement) -> list[Covaria
     found = [
         Covariate("height", "m", prediction.vertices[..., 1], "the cloth is high up"),
         Covariate("stretch", "%", 100 * stretch(prediction), "the cloth is stretched"),
-        *_motion_of_cloth(prediction, measurement),
+        *_motion_of_cloth(prediction, measurement.fps),
         *_motion_of_body(prediction, measurement),
     ]
     if prediction.body_vertices is not None:
@@ -70,15 +70,20 @@ def stretch(prediction: Prediction) -> np.ndarray:
     return total.T / np.maximum(number, 1)
 
 
-def _motion_of_cloth(prediction: Prediction, measurement: Measurement) -> list[Covariate]:
-    if measurement.vertices is None or not prediction.registered:
-        return []
-    fits = [
-        local_quadratic(measurement.vertices, measurement.observed, measurement.fps, int(frame))
-        for frame in prediction.frames
-    ]
-    speed = np.stack([np.linalg.norm(fit.velocity, axis=-1) for fit in fits])
-    acceleration = np.stack([np.linalg.norm(fit.acceleration, axis=-1) for fit in fits])
+def _motion_of_cloth(prediction: Prediction, fps: float) -> list[Covariate]:
+    """Read from the model too: noisy vertices would seem fast, and noise a matter of speed. Never across restarts."""
+    count = prediction.vertices.shape[1]
+    speed, acceleration = np.full((2, len(prediction.frames), count), np.nan)
+    run = prediction.window if prediction.lag is not None else np.zeros(len(prediction.frames), int)
+    for each in np.unique(run):
+        rows = np.flatnonzero(run == each)
+        frames = prediction.frames[rows] - prediction.frames[rows[0]]
+        grid, known = np.zeros((frames[-1] + 1, count, 3)), np.zeros((frames[-1] + 1, count), bool)
+        grid[frames], known[frames] = prediction.vertices[rows], True
+        for row, frame in zip(rows, frames, strict=True):
+            fit = local_quadratic(grid, known, fps, int(frame))
+            speed[row] = np.linalg.norm(fit.velocity, axis=-1)
+            acceleration[row] = np.linalg.norm(fit.acceleration, axis=-1)
     return [
         Covariate("speed", "m/s", speed, "the cloth moves fast"),
         Covariate("acceleration", "m/s²", acceleration, "the cloth accelerates"),

@@ -102,6 +102,11 @@ class SurfaceErrors:
         return np.array([0.5 * (np.abs(s).mean() + r.mean()) for s, r in zip(self.signed, self.reverse, strict=True)])
 
 
+def picked(cloud: np.ndarray) -> np.ndarray:
+    """Those of a cloud's points, or of what belongs to them (n, ...), that are looked at: :data:`MOST`, evenly."""
+    return cloud if len(cloud) <= MOST else cloud[np.linspace(0, len(cloud) - 1, MOST).astype(int)]
+
+
 def surface_errors(prediction: Prediction, measurement: Measurement) -> SurfaceErrors:
     """Distances of the measured points of each row, whether registered or not.
 
@@ -119,8 +124,8 @@ def surface_errors(prediction: Prediction, measurement: Measurement) -> SurfaceE
             continue
         counted = model[measurement.observed[frame]] if prediction.registered else model
         reverse.append(KDTree(cloud).query(counted)[0])
-        if len(cloud) > MOST and not prediction.registered:
-            cloud = cloud[np.linspace(0, len(cloud) - 1, MOST).astype(int)]
+        if not prediction.registered:
+            cloud = picked(cloud)
         distance, owner = surface.nearest(cloud, model).distance, KDTree(model).query(cloud)[1]
         signed.append(distance)
         owners.append(owner)

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi
 
 from caphy.io.measurements import Measurement
 from caphy.measure.local_fit import cubic_residuals
-
-MEDIAN_NORM: Final = 1.5382
-"""Median length of a vector of three standard normal numbers: the root of the median of chi-square with 3 degrees."""
-P95_NORM: Final = 2.7955
-"""Its 95th percentile."""
-MEDIAN_ONE: Final = 0.6745
-"""Median size of one standard normal number."""
 
 _MEDIAN_CHI2_3 = 2.36597 / 3  # median over mean of chi-square with 3 degrees, one for each coordinate
 _CALM = 0.1  # share of the frames, the calmest, that noise is read from: fast motion is not cubic
@@ -23,6 +17,7 @@ _NEIGHBOURS = 12  # that a plane is laid through, at least
 _FLAT = 5.0  # times as much scatter along the plane as across it; less is a ball of noise, no piece of cloth
 _REACH = 0.04  # metres: farther apart points lie on different parts of curved cloth
 _OVERSTATED = 3.0
+_ENOUGH = 4000  # standard deviations that stand for all of a measurement
 _UNDERSTATED, _PLAIN = 10.0, 5e-4  # times, and metres of scatter, of which brisk motion alone makes less
 
 
@@ -33,15 +28,24 @@ class Noise:
     sigma: float
     source: str
 
-    @property
-    def median(self) -> float:
-        """Median distance between a true and a measured vertex [m]."""
-        return MEDIAN_NORM * self.sigma
 
-    @property
-    def median_across(self) -> float:
-        """Median distance of a measured point from the true cloth, across it [m]."""
-        return MEDIAN_ONE * self.sigma
+def noise_distance(sigma: np.ndarray, coordinates: int, share: float = 0.5) -> float:
+    """Distance [m] within which noise keeps a share of all points, whose coordinates have standard deviations ``sigma``
+    (n,) [m].
+
+    Args:
+        coordinates: that the distance is made of: 3 between vertices, 1 across the cloth.
+    """
+    if sigma.min() == sigma.max():
+        return float(sigma[0] * chi.ppf(share, coordinates))
+    places = (np.arange(min(len(sigma), _ENOUGH)) + 0.5) * len(sigma) / min(len(sigma), _ENOUGH)
+    some = np.maximum(np.sort(sigma)[places.astype(int)], 1e-9)
+
+    def beyond(distance: float) -> float:
+        return float(np.mean(chi.cdf(distance / some, coordinates))) - share
+
+    most = 2 * float(some[-1] * chi.ppf(share, coordinates))
+    return float(brentq(beyond, 0.0, most))  # pyright: ignore[reportArgumentType]
 
 
 def measurement_noise(measurement: Measurement) -> Noise | None:
@@ -54,8 +58,20 @@ def measurement_noise(measurement: Measurement) -> Noise | None:
     if measurement.noise_mm is not None:
         return Noise(1e-3 * measurement.noise_mm, "stated in the measurement")
     if measurement.noise is not None:
-        return Noise(float(np.nanmedian(measurement.noise)), "stated in the measurement, median over points")
+        each = [stated_of_cloud(measurement, int(frame)) for frame in measurement.seen_frames]
+        found = np.concatenate([np.zeros(0), *each])
+        if np.isfinite(found).any():
+            return Noise(float(np.nanmedian(found)), "stated in the measurement, median over points")
     return scatter(measurement)
+
+
+def stated_of_cloud(measurement: Measurement, frame: int) -> np.ndarray:
+    """Standard deviation (n,) [m] that a file states of each point that was seen in a frame."""
+    assert measurement.noise is not None
+    if measurement.registered:
+        return np.broadcast_to(measurement.noise, measurement.observed.shape)[frame][measurement.observed[frame]]
+    assert measurement.offsets is not None
+    return measurement.noise[measurement.offsets[frame] : measurement.offsets[frame + 1]]
 
 
 def overstated(measurement: Measurement) -> str | None:

@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from caphy.errors import CaphyError
 from caphy.measure.comparison import Comparison
 from caphy.measure.prediction import Prediction
+from caphy.measure.sentences import mm
 from caphy.report.camera import Camera
 from caphy.report.page.colours import error_colours, nice_ceiling
 from caphy.report.page.compose import Picture, Section
@@ -44,17 +45,20 @@ def track(comparison: Comparison) -> Track:
         faces=prediction.faces,
         frames=prediction.frames,
         fps=measurement.fps,
-        fields={
-            name: 1e3 * _spread(values, prediction.faces)
-            for name, values in fields.items()
-            if np.isfinite(values).any()
-        },
+        fields={name: 1e3 * _shown(comparison, values) for name, values in fields.items() if np.isfinite(values).any()},
         measured=_measured(comparison),
         body=prediction.body_vertices,
         body_faces=prediction.body_faces,
         regions=comparison.regions,
         numbering=measurement.numbering,
+        moments=[moment["row"] for moment in comparison.figures["moments"]],
     )
+
+
+def _shown(comparison: Comparison, values: np.ndarray) -> np.ndarray:
+    """Values at vertices (T, V) as they are where the vertices themselves were measured, else :func:`_spread`."""
+    prediction = comparison.prediction
+    return values if prediction.registered else _spread(values, prediction.faces)
 
 
 def _spread(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -86,7 +90,7 @@ def worst_moments(comparison: Comparison) -> tuple[Picture, ...]:
     for moment in comparison.figures["moments"]:
         row, frame = moment["row"], moment["frame"]
         model = prediction.vertices[row]
-        distance = _spread(comparison.errors.distance[[row]], prediction.faces)[0]
+        distance = _shown(comparison, comparison.errors.distance[[row]])[0]
         colours = error_colours(1e3 * distance, largest)
         body = _body_shape(prediction, row)
         camera = Camera.framing(model, azimuth=_azimuth(comparison, row, moment["region"]), elevation=12, margin=1.2)
@@ -96,7 +100,7 @@ def worst_moments(comparison: Comparison) -> tuple[Picture, ...]:
             images.append(render([measured, *body], camera, (SIDE, SIDE)))
         caption = (
             f"frame {moment['number']}, {moment['time_s']:.2f} s: {moment['region'].replace('_', ' ')} "
-            f"{moment['median_mm']:.0f} mm off"
+            f"{mm(moment['median_mm'])} off"
         )
         pictures.append(Picture(_png(np.concatenate(images, axis=1)), caption, frame))
     return tuple(pictures)

@@ -31,5 +31,5 @@ def misfitting(measurement: Measurement) -> str | None:
         return None
     return (
         f"{measurement.name} has edges {middle:.2f} times as long as in its rest mesh, in the median of all; if the "
-        "rest mesh is of another size, give the right one: else that is taken for forces on the cloth"
+        "rest mesh is of another size, give the right one: else that is taken for stretch of the cloth"
     )

@@ -39,5 +39,5 @@ def torn(measurement: Measurement) -> str | None:
         f"{measurement.name} has edges up to {worst:.3g} times as long as at rest, in {frames} of "
         f"{len(measurement.seen_frames)} frames, such as those of vertex {found[1]} in frame "
         f"{measurement.number(found[0])}; if it was lost or taken for another, leave it empty there (NaN): else that "
-        "is taken for forces on the cloth"
+        "is taken for the cloth's own motion"
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,7 +13,9 @@ from scipy.stats import foldnorm
 from caphy.io.measurements import Measurement
 from caphy.measure import errors as metrics
 from caphy.measure.comparison import Comparison, compare
+from caphy.measure.covariates import covariates
 from caphy.measure.errors import surface_errors, vertex_errors
+from caphy.measure.pictures import track
 from caphy.measure.prediction import Prediction
 
 
@@ -151,3 +155,75 @@ def test_rows_without_points_count_nowhere():
     figures = compare(predicted(np.tile(rest, (3, 1, 1)), faces, False), measurement).figures
     assert figures["error"]["count"] == 3
     assert figures["by_frame"]["median_mm"] == [pytest.approx(3.0), None, pytest.approx(6.0)]
+
+
+def noisy(frames: int = 24, **keys) -> tuple[Prediction, Measurement, np.ndarray]:
+    """A right model that swings, restarted every four frames, and its vertices with noise (V,) of 0.3 or 5 mm [m]."""
+    rest, faces = sheet()
+    swing = 0.02 * np.sin(0.3 * np.arange(frames))[:, None, None] * np.array([1.0, 0, 0]) + rest
+    sigma = np.where(np.arange(len(rest)) % 5 < 3, 3e-4, 5e-3)
+    measured = swing + np.random.default_rng(0).normal(size=swing.shape) * sigma[:, None]
+    rows = np.arange(frames)
+    prediction = Prediction(rows, swing, faces, True, rows % 4 + 1, rows // 4, np.ones(frames, bool))
+    return prediction, Measurement("m", 30.0, vertices=measured, faces=faces, noise=sigma, **keys), sigma
+
+
+def test_noise_that_differs_explains_the_error_of_a_right_model():
+    prediction, measurement, _ = noisy(400)
+    figures = compare(prediction, measurement).figures
+    error, floor = figures["error"], figures["floor"]
+    assert floor["noise_median_mm"] == pytest.approx(error["median_mm"], rel=0.05)
+    assert floor["explained_p95_mm"] == pytest.approx(error["p95_mm"], rel=0.05)
+    assert [row["explained_mm"] for row in figures["by_region"]] == pytest.approx(
+        [row["median_mm"] for row in figures["by_region"]], rel=0.15
+    )
+
+
+def test_noise_explains_by_what_was_seen_in_the_frames_compared():
+    """Of vertices and frames that are not, and of points that lie across the cloth."""
+    prediction, measurement, sigma = noisy(400)
+    noise = np.tile(sigma, (400, 1))
+    noise[300:] = 1.0
+    seen = np.broadcast_to(sigma < 1e-3, noise.shape)
+    fewer = replace(
+        prediction,
+        **{name: getattr(prediction, name)[:300] for name in ("frames", "vertices", "lag", "window", "converged")},
+    )
+    figures = compare(fewer, replace(measurement, noise=noise, visibility=seen)).figures
+    assert figures["floor"]["noise_median_mm"] == pytest.approx(0.3 * 1.538172, rel=1e-3)
+    flat, cloud = sheet()[0], np.random.default_rng(0).uniform(0.02, 0.38, (400 * 50, 3)) * [1, 1, 0]
+    each = np.where(np.arange(len(cloud)) % 5 < 3, 3e-4, 5e-3)
+    cloud[:, 2] = np.random.default_rng(1).normal(size=len(cloud)) * each
+    points = Measurement("m", 30.0, points=cloud, offsets=50 * np.arange(401), noise=each)
+    still = replace(prediction, vertices=np.tile(flat, (400, 1, 1)), registered=False)
+    figures = compare(still, points).figures
+    assert figures["floor"]["noise_median_mm"] == pytest.approx(figures["error"]["median_mm"], rel=0.05)
+
+
+def test_noise_is_no_matter_of_speed():
+    """Noisy vertices seem to move fast: their speed was taken for the cause of their error."""
+    prediction, measurement, _ = noisy(48)
+    found = {row["name"]: row for row in compare(prediction, measurement).figures["by_covariate"]}
+    for name in ("speed", "acceleration"):
+        assert abs(found[name]["contrast"]["difference_mm"]) < 1.0
+
+
+def test_speed_and_acceleration_are_the_models_and_end_at_restarts():
+    """x = 3 t^2 in every window, and a jump of a metre between them."""
+    rest, faces = sheet()
+    rows, time = np.arange(12), np.arange(12) % 6 / 30
+    moved = rest + (3 * time**2 + np.arange(12) // 6)[:, None, None] * [1.0, 0, 0]
+    prediction = Prediction(rows, moved, faces, True, rows % 6 + 1, rows // 6, np.ones(12, bool))
+    found = {c.name: c.values for c in covariates(prediction, Measurement("m", 30.0, vertices=moved, faces=faces))}
+    np.testing.assert_allclose(found["speed"], np.tile(6 * time[:, None], (1, len(rest))), atol=1e-6)
+    np.testing.assert_allclose(found["acceleration"], 6.0, rtol=1e-6)
+    free = replace(prediction, lag=None, frames=2 * rows[:6], vertices=moved[:6], window=rows[:6])
+    seen = Measurement("m", 60.0, vertices=np.repeat(moved[:6], 2, axis=0), faces=faces)
+    slow = {c.name: c.values for c in covariates(free, seen)}["speed"]  # every second frame, each a group of its own
+    np.testing.assert_allclose(slow, np.tile(6 * time[:6, None], (1, len(rest))), atol=1e-6)
+
+
+def test_what_was_never_measured_is_not_coloured():
+    prediction, measurement, _ = noisy(visibility=np.broadcast_to(np.arange(25) != 7, (24, 25)))
+    shown = track(compare(prediction, measurement)).fields["distance"]
+    assert np.isnan(shown[:, 7]).all() and np.isfinite(np.delete(shown, 7, axis=1)).all()

@@ -7,7 +7,7 @@ import pytest
 
 from caphy.io.measurements import Measurement
 from caphy.measure.local_fit import cubic_residuals, local_quadratic
-from caphy.measure.noise import MEDIAN_NORM, P95_NORM, measurement_noise, overstated, understated
+from caphy.measure.noise import measurement_noise, overstated, understated
 from caphy.measure.remarks import remarks
 
 FACES = np.array([[0, 1, 2]])
@@ -112,9 +112,3 @@ def test_less_noise_than_the_data_show_is_doubted(stated_mm, doubted):
     assert (said is not None) == doubted
     assert said is None or "mm but scatters by 1" in said or "by 0.9" in said
     assert (said in remarks([track])) == doubted
-
-
-def test_lengths_of_noise():
-    lengths = np.linalg.norm(np.random.default_rng(0).normal(size=(400_000, 3)), axis=1)
-    assert np.median(lengths) == pytest.approx(MEDIAN_NORM, abs=0.005)
-    assert np.quantile(lengths, 0.95) == pytest.approx(P95_NORM, abs=0.01)

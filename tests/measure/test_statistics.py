@@ -90,6 +90,7 @@ def figures(**floor) -> dict:
             "mesh_median_mm": 0.8,
             "restart_median_mm": 1.0,
             "explained_mm": 2.3,
+            "explained_p95_mm": 6.0,
             "unexplained_mm": 5.5,
             **floor,
         },
@@ -98,6 +99,7 @@ def figures(**floor) -> dict:
             "restarted": True,
             "window_frames": 8,
             "windows": 9,
+            "rows": 72,
             "converged": 1.0,
             "cautions": [],
         },
@@ -108,6 +110,8 @@ def figures(**floor) -> dict:
                 "interval_mm": (8.0, 19.0),
                 "down_mm": 11.0,
                 "down_interval_mm": (9.0, 13.0),
+                "explained_mm": 2.3,
+                "explained_p95_mm": 6.0,
             }
         ],
         "by_covariate": [
@@ -122,6 +126,7 @@ def figures(**floor) -> dict:
                     "above_mm": 13.0,
                     "difference_mm": 9.0,
                     "interval_mm": (5.0, 12.0),
+                    "noise_above_mm": 2.0,
                 },
             }
         ],
@@ -152,10 +157,52 @@ def test_sentences_keep_still_where_they_do_not():
     for chance in (None, (5.0, 25.0)):  # too few windows, or the median of all lies within
         given["by_region"][0]["interval_mm"] = chance
         assert "Worst is" not in " ".join(sentences(given))
-    quiet = sentences(figures(explained_mm=5.5, unexplained_mm=2.4))
-    assert "the median does not tell whether an effect is missing" in quiet[1]
-    assert len(quiet) == 2
     doubtful = figures()
     for windows, cautions in ((2, 2), (4, 2), (5, 1)):
         doubtful["prediction"] |= {"windows": windows, "converged": 0.9}
         assert sum(sentence.startswith("Caution") for sentence in sentences(doubtful)) == cautions
+    doubtful["prediction"] |= {"rows": 300, "converged": 299 / 300, "window_frames": 1}
+    said = sentences(doubtful)
+    assert "Caution: the solver did not converge in 1 of 300 frames." in said
+    assert "restarted every frame (5 windows)" in said[0]
+
+
+def explained(**region) -> dict:
+    """Figures of an error that noise and solver give, in the median of all and where ``region`` does not say else."""
+    given = figures(explained_mm=5.5, explained_p95_mm=18.0, unexplained_mm=2.4)
+    given["by_region"][0] |= {"explained_mm": 13.0, "explained_p95_mm": 25.0} | region
+    given["moments"] = [{"number": 3, "time_s": 0.1, "region": "hem", "median_mm": 30.0}]
+    return given
+
+
+def test_an_error_that_noise_and_solver_give_is_said_to_be_that():
+    quiet = sentences(explained())
+    assert "the median does not tell whether an effect is missing: caphy diagnose" in quiet[1]
+    assert len(quiet) == 2
+    running = explained()
+    running["prediction"] |= {"restarted": False, "windows": None, "window_frames": None}
+    said = sentences(running)
+    assert "These explain most of it" in said[1] and "diagnose" not in said[1]  # it refuses avatars
+
+
+def test_what_is_wrong_in_one_place_or_moment_is_said_whatever_the_median():
+    """A sleeve 20 mm too high was told as explained by noise, since the other parts are right."""
+    place = sentences(explained(explained_mm=2.3))
+    assert "Worst is the hem: 14 mm off, on average 11 mm too low." in place
+    assert "explain most of the median, but not the largest errors" in place[1]
+    moment = sentences(explained(explained_p95_mm=14.0))
+    assert "The worst moment is frame 3 (0.10 s): the hem is 30 mm off." in moment
+    for restarted, most in ((True, 36.0), (False, 23.4)):
+        far = explained(explained_p95_mm=30.0)
+        far["prediction"]["restarted"] = restarted
+        for p95, sure in ((most - 0.1, True), (most + 0.1, False)):
+            far["error"]["p95_mm"] = p95
+            assert ("These explain most of it" in sentences(far)[1]) == sure
+
+
+def test_what_noise_gives_is_no_cause():
+    given = figures()
+    given["by_region"][0]["explained_mm"] = 13.0
+    given["by_covariate"][0]["contrast"]["noise_above_mm"] = 12.0
+    text = " ".join(sentences(given))
+    assert "turn fast" not in text and "Worst is" not in text

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import base64
 import gzip
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 BUDGET = 12_000_000
 """Most bytes of raw numbers that one scene may hold; longer motions are thinned out in time."""
+CLOUD = 5000
+"""Most points of a cloud that are shown in a frame."""
 STEP_MM = 0.01
 """Resolution of packed errors [mm], unless they reach so far that 16 bits need a coarser one."""
 HOLE = -32768
@@ -27,6 +30,7 @@ class Track:
     vertices: the model's (N, V, 3) [m]. faces: (F, 3). measured: registered positions (N, V, 3) with NaN in holes, or
     a list of N clouds (n, 3), or none. fields: name -> errors (N, V) [mm], NaN where unknown. frames: (N,).
     body: (N, B, 3), with body_faces, or none. numbering: frame 0's number in the source, and from it to the next one's.
+    moments: rows that are shown however many are left out.
     """
 
     vertices: np.ndarray
@@ -39,13 +43,15 @@ class Track:
     body_faces: np.ndarray | None = None
     regions: np.ndarray | None = None
     numbering: tuple[int, int] = (0, 1)
+    moments: Sequence[int] = ()
 
 
 def pack(track: Track) -> dict:
     """A JSON-ready scene for ``viewer.js``: base64 of gzip of little-endian numbers, and how to read them."""
-    rows = _kept_rows(track)
+    shown = _shown(track)
+    rows = _kept_rows(track, shown)
     vertices = track.vertices[rows]
-    measured = None if track.measured is None else [track.measured[int(r)] for r in rows]
+    measured = None if shown is None else [shown[int(r)] for r in rows]
     body = None if track.body is None else track.body[rows]
     clouds = [vertices.reshape(-1, 3), *(measured or [])] + ([] if body is None else [body.reshape(-1, 3)])
     points = np.concatenate([c.reshape(-1, 3) for c in clouds])
@@ -58,7 +64,7 @@ def pack(track: Track) -> dict:
         "fps": track.fps,
         "numbering": [int(each) for each in track.numbering],
         "rows": len(rows),
-        "thinned": len(rows) < len(track.vertices),
+        "leftOut": _left_out(track, len(rows)),
         "frames": track.frames[rows].tolist(),
         "vertexCount": vertices.shape[1],
         "low": low.tolist(),
@@ -106,15 +112,32 @@ def _regions(track: Track) -> np.ndarray:
     return np.full(track.vertices.shape[1], "") if track.regions is None else track.regions
 
 
-def _kept_rows(track: Track) -> np.ndarray:
-    """All rows, or every second, third, ... where all would not fit the budget."""
+def _shown(track: Track) -> np.ndarray | list[np.ndarray] | None:
+    """What was measured, of clouds no more than :data:`CLOUD` points each, evenly picked."""
+    if not isinstance(track.measured, list):
+        return track.measured
+    return [c if len(c) <= CLOUD else c[np.linspace(0, len(c) - 1, CLOUD).astype(int)] for c in track.measured]
+
+
+def _left_out(track: Track, rows: int) -> str:
+    """What the viewer does not show, in words; nothing where it shows all."""
+    parts = []
+    if rows < len(track.vertices):
+        parts.append(f"{rows} of the {len(track.vertices)} frames compared, the worst moments among them")
+    if isinstance(track.measured, list) and (most := max(map(len, track.measured), default=0)) > CLOUD:
+        parts.append(f"{CLOUD} of the up to {most} points of a frame")
+    return f"To keep this page small the view holds {' and '.join(parts)}; all figures are of all." if parts else ""
+
+
+def _kept_rows(track: Track, shown: np.ndarray | list[np.ndarray] | None) -> np.ndarray:
+    """All rows, or every second, third, ... and the worst moments, where all would not fit the budget."""
     count = len(track.vertices)
     per_row = track.vertices.shape[1] * (6 + 2 * len(track.fields))
     per_row += 0 if track.body is None else track.body.shape[1] * 6
-    if track.measured is not None:
-        per_row += int(6 * np.mean([len(c) for c in track.measured]))
+    if shown is not None:
+        per_row += int(6 * np.mean([len(c) for c in shown]))
     stride = max(int(np.ceil(per_row * count / BUDGET)), 1)
-    return np.arange(0, count, stride)
+    return np.union1d(np.arange(0, count, stride), np.asarray(track.moments, int))
 
 
 def _quantised(points: np.ndarray, low: np.ndarray, scale: float) -> np.ndarray:
