@@ -203,6 +203,7 @@ def table(diagnosis: Diagnosis) -> str:
     rows = [f"{'explanation':34s} {'gain':>7s} {'Wald':>8s} {'refit':>7s}  first estimate"]
     for r in diagnosis.ranking[:_LISTED]:
         numbers = ", ".join(_in_unit(name, value, r.units[name]) for name, value in list(r.linear.items())[:3])
+        numbers += ", ..." if len(r.linear) > 3 else ""
         refit = "" if r.refitted is None else f"{100 * r.refitted:z.1f} %"
         rows.append(f"{r.label:34s} {100 * r.gain:z6.1f} % {r.wald:7.0f} {refit:>7s}  {numbers}")
     return "\n".join(rows)

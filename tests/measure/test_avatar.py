@@ -143,6 +143,20 @@ def test_another_body_than_the_avatars_is_said(measurement):
     assert any("betas put its joints up to" in sentence for sentence in figures["sentences"])
 
 
+def test_what_is_doubted_of_a_measurement_is_said_of_avatars_too(measurement, tmp_path, capsys):
+    """But not what a solver leaves out: an avatar follows all frames of a fast film. Folders keep their whole names."""
+    lost, rest = measurement.vertices.copy(), shell("tshirt").vertices.astype(np.float64)
+    lost[3, 7] += (0.0, 0.4, 0.0)
+    write_bundle(shell_avatar(), tmp_path / "avatar.v2")
+    write_measurement(replace(measurement, name="m", vertices=lost, rest_vertices=rest), tmp_path / "m.npz")
+    assert main(["compare", str(tmp_path / "avatar.v2"), str(tmp_path / "m.npz"), "-o", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "compare.html").read_text()
+    for said in (capsys.readouterr().out, page):
+        assert "Note: m has edges up to" in said and "those of vertex 7 in frame 3" in said
+        assert "windows would" not in said
+    assert "<h1>avatar.v2 against m</h1>" in page
+
+
 @pytest.mark.parametrize("option", [("--window", "3"), ("--body", "none.npz"), ("--effect-file", "none.py")])
 def test_what_is_for_physics_models_is_refused(measurement, tmp_path, capsys, option):
     write_bundle(shell_avatar(), tmp_path / "avatar")

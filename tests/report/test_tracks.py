@@ -9,7 +9,9 @@ import re
 import numpy as np
 import pytest
 
-from caphy.report.page.plots import time_plot
+from caphy.report.page import tracks
+from caphy.report.page.compose import Section, comparison_page, diagnosis_page
+from caphy.report.page.plots import bar_plot, time_plot
 from caphy.report.page.tracks import Track, pack
 
 
@@ -65,3 +67,106 @@ def test_a_body_that_walks_is_seen_whole_in_every_frame():
     there = [np.abs(on_screen(scene, frame - frame.mean(0) + body[0].mean(0))).max() for frame in body]
     assert there == pytest.approx([there[0]] * 4)
     assert 0.85 < there[0] < 1
+
+
+def filmed(frames: int, points: int) -> Track:
+    """Clouds on a triangle; the row 78 is a worst moment."""
+    random = np.random.default_rng(0)
+    clouds = [random.uniform(size=(points, 3)) for _ in range(frames)]
+    return Track(
+        np.zeros((frames, 3, 3)), np.array([[0, 1, 2]]), np.arange(frames), 30.0, {}, measured=clouds, moments=[78]
+    )
+
+
+def test_points_are_left_out_before_frames():
+    """Of 90 clouds of 60,000 points every fourth was shown, and nothing said so."""
+    scene = pack(filmed(90, 60_000))
+    assert scene["frames"] == list(range(90))
+    assert np.diff(scene["measuredOffsets"]).tolist() == [5000] * 90
+    assert "5000 of the up to 60000 points of a frame; all figures are of all" in scene["leftOut"]
+    assert pack(filmed(90, 5000))["leftOut"] == ""
+
+
+def test_worst_moments_are_shown_however_many_frames_are_left_out(monkeypatch):
+    monkeypatch.setattr(tracks, "BUDGET", 90 * 3_000)
+    scene = pack(filmed(90, 2000))
+    assert 78 in scene["frames"] and 77 not in scene["frames"] and 15 < scene["rows"] < 25
+    assert f"holds {scene['rows']} of the 90 frames compared" in scene["leftOut"]
+    assert len(unpacked(scene["model"], "<u2")) == scene["rows"] * 3 * 3
+
+
+def test_frames_that_stand_alone_are_dots():
+    """A path of nothing but moves draws nothing: every second frame missing, or restarts at every frame."""
+    plot = time_plot([0, 2, 4, 5], {"median": [1.0, None, 3.0, 4.0]}, [0, 0, 1, 1], None)
+    (path,) = re.findall(r'd="([^"]*)"', plot)
+    assert re.fullmatch(r"M[\d.]+ [\d.]+h0M[\d.]+ [\d.]+L[\d.]+ [\d.]+", path)
+    alone = time_plot([0, 1], {"median": [1.0, 3.0]}, [0, 1], None)
+    assert len(re.findall(r"M[\d.]+ [\d.]+h0", alone)) == 2
+
+
+@pytest.mark.parametrize("floor", [0.1, 5.0, 9.0, 12.0])
+def test_what_is_explained_is_written_within_its_card(floor):
+    plot = bar_plot("Error", [("hem", 10.0, 12.0)], floor)
+    (x, anchor) = re.findall(r'class="floor" x="([\d.]+)" y="9" text-anchor="(\w+)"', plot)[0]
+    left, right = (float(x), float(x) + 60) if anchor == "start" else (float(x) - 60, float(x))
+    assert left > 0 and right < 420
+
+
+def comparison(**measurement) -> dict:
+    """The least figures that a page is made of."""
+    row = {"median_mm": 1.0, "p95_mm": 2.0, "normal_mm": 0.0, "along_mm": 1.0, "down_mm": 0.0}
+    about = {"name": "m", "frames": 4, "frames_seen": 4, "fps": 30.0, "registered": True, "holes": 0.0}
+    directions = {"normal_median_mm": 1.0, "along_median_mm": 1.0, "down_mean_mm": 0.0}
+    return {
+        "measurement": about | {"notes": [], "remarks": []} | measurement,
+        "prediction": {"restarted": False, "matched_vertices": True},
+        "error": row | directions | {"surface_median_mm": 1.0, "chamfer_mm": 1.0},
+        "floor": {
+            **dict.fromkeys(["time_step_median_mm", "mesh_median_mm", "restart_median_mm"]),
+            **dict.fromkeys(["noise_median_mm", "noise_sigma_mm", "explained_mm", "unexplained_mm"], 1.0),
+            "noise_source": "stated",
+        },
+        "by_frame": {"frame": [0, 1], "median_mm": [1.0, 1.0], "p95_mm": [2.0, 2.0], "window": [0, 0]},
+        "by_region": [row | {"region": "hem"}],
+        "by_lag": [],
+        "by_covariate": [],
+        "sentences": ["It fits."],
+    }
+
+
+@pytest.mark.parametrize(
+    ("holes", "says"), [(0.001, "0.1 % holes"), (0.0001, "less than 0.1 % holes"), (0.12, "12 % holes"), (0.0, None)]
+)
+def test_few_holes_are_not_none(holes, says):
+    page = comparison_page("t", [Section(comparison(holes=holes))], {})
+    assert ("holes<" in page) == (says is not None) and (says is None or f", {says}<" in page)
+
+
+def test_a_page_says_what_is_doubted_of_a_measurement_and_what_the_view_lacks():
+    figures = comparison(remarks=["m has edges up to 20 times as long as at rest"])
+    page = comparison_page("t", [Section(figures, filmed(90, 6000))], {})
+    assert "Note: m has edges up to 20 times as long as at rest." in page
+    assert "the view holds 5000 of the up to 6000 points" in page
+    assert "the view holds" not in comparison_page("t", [Section(figures, filmed(90, 60))], {})
+
+
+def test_a_diagnosis_says_that_there_are_more_numbers_and_knows_no_minus_nothing():
+    names = {f"wind.v{i}": 0.5 for i in range(5)}
+    row = {"explanation": "wind", "family": "air", "gain": -1e-5, "gain_needed": 0.01, "wald": 1.0} | {
+        "gain_after_refit": -1e-5,
+        "first_estimate": names,
+        "noticed_above": {"wind.v0": 0.1},
+        "units": dict.fromkeys(names, "N"),
+    }
+    document = {
+        "sentences": [],
+        "held_out": None,
+        "median_mm": {"before": 1.0, "after": 1.0, "noise": None},
+        "base": None,
+        "coefficients": {},
+        "ranking": [row],
+        "probes": {},
+    }
+    page = diagnosis_page("t", document, [], {})
+    assert "-0.0" not in page and page.count("<td>0.0 %</td>") == 2
+    assert "v0 0.5 N, v1 0.5 N, v2 0.5 N, ...</td>" in page and "0.1 N</td>" in page

@@ -50,6 +50,7 @@ def comparison_page(title: str, sections: Sequence[Section], facts: dict[str, st
         CaphyError: jinja2 is not installed.
     """
     environment = _environment()
+    environment.filters["percent"] = _percent
     environment.filters["mm"] = lambda value: (
         "–" if value is None else f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
     )
@@ -161,10 +162,12 @@ def _environment():
 
 def _prepared(section: Section) -> dict:
     figures, floor = section.figures, section.figures["floor"]["explained_mm"]
+    scene = None if section.track is None else pack(section.track)
     shown = _plots(figures, floor)
     return {
         "figures": figures,
-        "scene": None if section.track is None else _script_json(pack(section.track)),
+        "scene": None if scene is None else _script_json(scene),
+        "left_out": "" if scene is None else scene["leftOut"],
         "time_plot": _time_plot(figures, floor),
         "plots": shown[:_PLOTS],
         "more_plots": shown[_PLOTS:],
@@ -183,6 +186,11 @@ def _prepared_curves(table: dict) -> dict:
 def _script_json(value: dict) -> str:
     """JSON that cannot close the script element it stands in."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _percent(share: float) -> str:
+    """ "0.1", "12"; less than is shown is not nothing."""
+    return "less than 0.1" if 0 < share < 0.0005 else f"{100 * share:.1f}" if share < 0.0995 else f"{100 * share:.0f}"
 
 
 def _time_plot(figures: dict, floor: float | None) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 WIDTH, HEIGHT = 420, 230
 LEFT, RIGHT, TOP, BOTTOM = 44, 12, 14, 38
+_LABEL = 70  # width of "explained", and what stands beside it
 
 Value = float | None
 
@@ -54,15 +55,14 @@ def _x_axis(x: Callable[[float], float], low: float, high: float) -> str:
 
 
 def _path(xs: Sequence[float], ys: Sequence[Value], breaks: Sequence[bool]) -> str:
-    """An SVG path that is broken at holes and where told."""
-    text, pen = [], False
+    """An SVG path that is broken at holes and where told; "h0" makes what stands alone a dot."""
+    runs: list[list[str]] = [[]]
     for x, y, broken in zip(xs, ys, breaks, strict=True):
-        if y is None:
-            pen = False
-            continue
-        text.append(f"{'L' if pen and not broken else 'M'}{x:.1f} {y:.1f}")
-        pen = True
-    return "".join(text)
+        if broken or y is None:
+            runs.append([])
+        if y is not None:
+            runs[-1].append(f"{x:.1f} {y:.1f}")
+    return "".join(f"M{'L'.join(run)}" + "h0" * (len(run) == 1) for run in runs if run)
 
 
 def time_plot(
@@ -127,7 +127,8 @@ def bar_plot(
         body += f'<rect class="bar" x="{x(0):.1f}" y="{top + 4}" width="{max(x(middle) - x(0), 1):.1f}" height="14"/>'
     if floor:
         body += f'<line class="floor" x1="{x(floor):.1f}" x2="{x(floor):.1f}" y1="{gap - 6}" y2="{base}"/>'
-        body += f'<text class="floor" x="{x(floor) + 3:.1f}" y="9">explained</text>'
+        beside = (x(floor) + 3, "start") if x(floor) < WIDTH - _LABEL else (x(floor) - 3, "end")
+        body += f'<text class="floor" x="{beside[0]:.1f}" y="9" text-anchor="{beside[1]}">explained</text>'
     return (
         f'<svg class="plot" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{escape(title, True)}">'
         f"<title>{escape(title)}</title>{body}"

@@ -252,6 +252,7 @@
       this.matrix = multiply(projection, view);
       gl.uniformMatrix4fv(this.at("view"), false, view); gl.uniformMatrix4fv(this.at("projection"), false, projection);
       const stops = SIGNED[this.find("field").value] ? colours.diverging : colours.sequential;
+      const style = getComputedStyle(canvas); // light on a dark page
       gl.uniform3fv(this.at("stops"), stops.flatMap(rgb)); gl.uniform3fv(this.at("unknown"), rgb(colours.unknown));
       gl.uniform1f(this.at("pointSize"), 3.2 * ratio * Math.max(1, height / 500));
       const shows = (name) => this.find("show-" + name).checked;
@@ -260,7 +261,7 @@
       if (this.measured && shows("measured")) {
         const alone = !shows("model") && this.scene.measuredMesh;
         if (alone) this.drawMesh(this.buffers.measured, [0.45, 0.58, 0.72, 1], 0, gl.TRIANGLES);
-        else this.drawMesh(this.buffers.measured, [0.10, 0.14, 0.20, 1], 0, this.scene.measuredMesh ? gl.LINES : gl.POINTS);
+        else this.drawMesh(this.buffers.measured, [...rgb(style.getPropertyValue("--measured").trim()), 1], 0, this.scene.measuredMesh ? gl.LINES : gl.POINTS);
       }
     }
 
