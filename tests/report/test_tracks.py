@@ -83,7 +83,7 @@ def test_points_are_left_out_before_frames():
     scene = pack(filmed(90, 60_000))
     assert scene["frames"] == list(range(90))
     assert np.diff(scene["measuredOffsets"]).tolist() == [5000] * 90
-    assert "5000 of the up to 60000 points of a frame; all figures are of all" in scene["leftOut"]
+    assert "5000 of the up to 60000 points of a frame." in scene["leftOut"]
     assert pack(filmed(90, 5000))["leftOut"] == ""
 
 
@@ -98,10 +98,12 @@ def test_worst_moments_are_shown_however_many_frames_are_left_out(monkeypatch):
 def test_frames_that_stand_alone_are_dots():
     """A path of nothing but moves draws nothing: every second frame missing, or restarts at every frame."""
     plot = time_plot([0, 2, 4, 5], {"median": [1.0, None, 3.0, 4.0]}, [0, 0, 1, 1], None)
-    (path,) = re.findall(r'd="([^"]*)"', plot)
+    path, dots = re.findall(r'd="([^"]*)"', plot)
+    assert dots == path[: path.index("h0") + 2]
     assert re.fullmatch(r"M[\d.]+ [\d.]+h0M[\d.]+ [\d.]+L[\d.]+ [\d.]+", path)
     alone = time_plot([0, 1], {"median": [1.0, 3.0]}, [0, 1], None)
-    assert len(re.findall(r"M[\d.]+ [\d.]+h0", alone)) == 2
+    assert all(len(re.findall(r"M[\d.]+ [\d.]+h0", path)) == 2 for path in re.findall(r'd="([^"]*)"', alone))
+    assert 'alone"' not in time_plot([0, 1], {"median": [1.0, 3.0]}, [0, 0], None)
 
 
 @pytest.mark.parametrize("floor", [0.1, 5.0, 9.0, 12.0])

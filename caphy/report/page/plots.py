@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from html import escape
 
@@ -83,7 +84,10 @@ def time_plot(
     body = _y_axis(y, high) + _x_axis(_scale(begins, ends, LEFT, WIDTH - RIGHT), begins, ends)
     for number, (name, values) in enumerate(lines.items()):
         heights = [None if v is None else y(v) for v in values]
-        body += f'<path class="line line{number}" d="{_path([x(f) for f in frames], heights, new)}"/>'
+        path = _path([x(f) for f in frames], heights, new)
+        body += f'<path class="line line{number}" d="{path}"/>'
+        if alone := "".join(re.findall(r"M[\d. ]+h0", path)):
+            body += f'<path class="line line{number} alone" d="{alone}"/>'
         body += f'<text class="legend line{number}" x="{LEFT + 60 + 96 * number}" y="10">{escape(name)}</text>'
     body += _floor(y, floor)
     body += f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>'

@@ -123,10 +123,12 @@ def _left_out(track: Track, rows: int) -> str:
     """What the viewer does not show, in words; nothing where it shows all."""
     parts = []
     if rows < len(track.vertices):
-        parts.append(f"{rows} of the {len(track.vertices)} frames compared, the worst moments among them")
+        parts.append(
+            f"{rows} of the {len(track.vertices)} frames compared (figures are of all), with the worst moments"
+        )
     if isinstance(track.measured, list) and (most := max(map(len, track.measured), default=0)) > CLOUD:
         parts.append(f"{CLOUD} of the up to {most} points of a frame")
-    return f"To keep this page small the view holds {' and '.join(parts)}; all figures are of all." if parts else ""
+    return f"To keep this page small the view holds {' and '.join(parts)}." if parts else ""
 
 
 def _kept_rows(track: Track, shown: np.ndarray | list[np.ndarray] | None) -> np.ndarray:
