@@ -35,7 +35,7 @@ def describe_errors(app: FastAPI) -> None:
 def _tell(path: str, responses: dict[str, Any]) -> None:
     """Correct what the framework says of its own, and add what middleware answers."""
     protocol = path == "/v2" or path.startswith("/v2/")
-    if "422" in responses:
+    if "application/json" in responses.get("422", {}).get("content", {}):
         if protocol:  # which is answered with 400 there
             del responses["422"]
         else:
