@@ -198,9 +198,7 @@ def test_held_out_loadings_are_foretold():
     assert {"its own parameters on cloth", "strain_stiffening on cloth"} <= set(said)
     assert [(e.direction, e.loading) for e in answer.loadings] == [("weft", 4), ("warp", 4)]
     told = {stage: sum(e.rms[stage] for e in answer.loadings) for stage in ("as given", "with effects")}
-    floor = sum(
-        e.floor or np.nan for e in answer.loadings
-    )  # of one alone it may be met by chance
+    floor = sum(e.floor or np.nan for e in answer.loadings)  # of one alone it may be met by chance
     assert told["with effects"] < 1.6 * floor < 0.3 * told["as given"]
 
 
