@@ -57,12 +57,26 @@ def measurement_noise(measurement: Measurement) -> Noise | None:
     """
     if measurement.noise_mm is not None:
         return Noise(1e-3 * measurement.noise_mm, "stated in the measurement")
-    if measurement.noise is not None:
-        each = [stated_of_cloud(measurement, int(frame)) for frame in measurement.seen_frames]
-        found = np.concatenate([np.zeros(0), *each])
-        if np.isfinite(found).any():
-            return Noise(float(np.nanmedian(found)), "stated in the measurement, median over points")
+    if len(found := _stated(measurement)):
+        return Noise(float(np.median(found)), "stated in the measurement, median over points")
     return scatter(measurement)
+
+
+def deviations(measurement: Measurement) -> np.ndarray:
+    """Standard deviation (n,) [m] of the coordinates of all points that were seen; one where all have the same, none
+    where :func:`measurement_noise` knows none."""
+    if measurement.noise_mm is None and len(found := _stated(measurement)):
+        return found
+    noise = measurement_noise(measurement)
+    return np.zeros(0) if noise is None else np.array([noise.sigma])
+
+
+def _stated(measurement: Measurement) -> np.ndarray:
+    """What a file states of each point that was seen (n,) [m]."""
+    if measurement.noise is None:
+        return np.zeros(0)
+    found = np.concatenate([np.zeros(0), *(stated_of_cloud(measurement, int(f)) for f in measurement.seen_frames)])
+    return found[np.isfinite(found)]
 
 
 def stated_of_cloud(measurement: Measurement, frame: int) -> np.ndarray:

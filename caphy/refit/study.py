@@ -8,13 +8,11 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi
 
 from caphy.effects.model import Model
 from caphy.errors import CaphyError
 from caphy.garment.topology import boundary_loops
-from caphy.measure.noise import measurement_noise
+from caphy.measure.noise import deviations, measurement_noise, noise_distance
 from caphy.measure.scene import Scene
 from caphy.measure.track import Progress
 from caphy.measure.windows import LENGTH
@@ -25,6 +23,7 @@ from caphy.refit.evidence import KINDS, estimated_variance
 from caphy.refit.responses import Response, Watched, watched
 from caphy.refit.tangents import Pushes
 
+_EVENLY = (np.arange(100) + 0.5) / 100  # quantiles that stand for the noise of a film's points
 FEWEST = 4
 """Windows without which nothing can be told."""
 
@@ -98,18 +97,11 @@ class Study:
         Of clouds it is an upper bound, that of single points: how many of them a registered vertex averages depends on
         cloth and model.
         """
-        noise = [(measurement_noise(each.scene.measurement), each.scene.slides) for each in self.watched]
-        weighed = zip(noise, self.starts, strict=True)
-        known = [(1e3 * n.sigma, 1 if slides else 3, len(starts)) for (n, slides), starts in weighed if n is not None]
-        sigma, coordinates, windows = np.array(known).reshape(-1, 3).T
-        if not windows.sum():
-            return None
-
-        def beyond(distance: float) -> float:
-            within = chi.cdf(distance / np.maximum(sigma, 1e-9), coordinates)
-            return 0.5 - float(windows @ within) / float(windows.sum())
-
-        return float(brentq(beyond, 0.0, 4.0 * float(sigma.max()) + 1e-6))  # pyright: ignore[reportArgumentType]
+        sigma = np.zeros(0)
+        for each, starts in zip(self.watched, self.starts, strict=True):
+            if len(found := deviations(each.scene.measurement)):
+                sigma = np.append(sigma, np.tile(np.quantile(found, _EVENLY), len(starts)))
+        return 1e3 * noise_distance(sigma, 1 if self.of_clouds else 3) if len(sigma) else None
 
     def respond(
         self,

@@ -156,5 +156,9 @@ def test_the_noise_of_several_films_is_that_of_all_their_windows(film):
     random = np.random.default_rng(0)
     pooled = np.concatenate([np.linalg.norm(size * random.normal(size=(200_000, 3)), axis=1) for size in sizes])
     assert Study(scenes).floor_mm == pytest.approx(np.median(pooled), rel=5e-3)
+    each = np.where(np.arange(positions.shape[1]) % 10 < 4, 5e-3, 3e-4)  # [m], as a file may state it of each vertex
+    stated = Scene.of(Measurement(name="mixed", fps=30, vertices=positions, noise=each, **keys))
+    pooled = np.linalg.norm(1e3 * random.choice(each, (400_000, 1)) * random.normal(size=(400_000, 3)), axis=1)
+    assert Study([stated]).floor_mm == pytest.approx(np.median(pooled), rel=1e-2)
     noiseless = Scene.of(Measurement(name="clean", fps=30, vertices=positions, noise_mm=0.0, **keys))
     assert Study([noiseless]).floor_mm == pytest.approx(0.0, abs=1e-6)
