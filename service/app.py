@@ -71,16 +71,16 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 
 def _add_middleware(app: FastAPI, settings: Settings) -> None:
-    """The one added last is the outermost: requests are observed, let in from other pages, counted, asked
-    for the key, in this order."""
+    """The one added last is the outermost: requests are let in from other pages, observed, counted, asked for the key,
+    in this order."""
     app.add_middleware(Heads, except_below="/viewer/")
     app.add_middleware(Subprotocol)
     if keys := settings.api_keys():
         app.add_middleware(RequireKey, keys=keys, public=PUBLIC)
     app.add_middleware(Guarded, guard=app.state.guard)
-    if origins := settings.allowed_origins():  # outside of what refuses, so that pages may read why
+    app.add_middleware(Observed, metrics=app.state.metrics)
+    if origins := settings.allowed_origins():  # outside of what refuses or fails, so that pages may read why
         app.add_middleware(
             CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"], allow_headers=["*"],
             expose_headers=["*"],
         )  # fmt: skip
-    app.add_middleware(Observed, metrics=app.state.metrics)

@@ -353,6 +353,15 @@ def test_pages_of_other_origins_may_ask_where_the_operator_says_so(avatars, moti
         assert "access-control-allow-origin" not in other.headers
 
 
+def test_pages_of_other_origins_are_told_of_a_failure_too(avatars, motion, monkeypatch):
+    """Without the header a browser shows them a network's error, and nobody looks into the log."""
+    monkeypatch.setattr("service.frames.require_valid", lambda *_: 1 / 0)
+    with TestClient(create_app(Settings(avatars=avatars, origins="https://example.org"))) as client:
+        answer = client.post(FRAMES, content=body_of(motion), headers={**BINARY, "origin": "https://example.org"})
+    assert answer.status_code == 500
+    assert answer.headers["access-control-allow-origin"] == "https://example.org"
+
+
 def test_without_that_no_other_page_may(http, motion):
     answer = http.post(FRAMES, content=body_of(motion), headers={**BINARY, "origin": "https://example.org"})
     assert "access-control-allow-origin" not in answer.headers
