@@ -38,6 +38,8 @@ COMMANDS = {
 }
 LISTS = ("--base", "--held-out", "--effect-file", "--poses", "--motions", "--garments", "--kinds", "--betas")
 """Options with any number of values; given twice, the last ones alone would count."""
+SAME = {"--kinds": "--garments"}
+"""Options of two names."""
 STATUSES = """exit status: 0 done; 1 a part failed, or the result was refused (what a refit does not bear out);
   2 input to put right, which one line says; 130 and 143 stopped by Ctrl-C and SIGTERM"""
 INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
@@ -97,6 +99,7 @@ def main(arguments: list[str] | None = None) -> int:
     if "" in rest:
         return _refused(name, "an argument is empty; is a variable of your shell not set?")
     given = [argument.split("=", maxsplit=1)[0].replace("_", "-") for argument in rest]
+    given = [SAME.get(option, option) for option in given]
     if twice := [option for option in LISTS if given.count(option) > 1]:
         return _refused(name, f"{twice[0]} is given twice; give all its values after one {twice[0]}")
     return _run(name, rest)

@@ -81,6 +81,6 @@ def _add_middleware(app: FastAPI, settings: Settings) -> None:
     app.add_middleware(Observed, metrics=app.state.metrics)
     if origins := settings.allowed_origins():  # outside of what refuses or fails, so that pages may read why
         app.add_middleware(
-            CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"], allow_headers=["*"],
+            CORSMiddleware, allow_origins=origins, allow_methods=["GET", "HEAD", "POST"], allow_headers=["*"],
             expose_headers=["*"],
         )  # fmt: skip

@@ -28,7 +28,7 @@ def listen(settings: Settings) -> socket.socket:
     host, port = settings.host, settings.port
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        both = host == "::"  # all of this machine's addresses, those of IPv4 as well
+        both = host == "::" and socket.has_dualstack_ipv6()  # all of this machine's addresses, those of IPv4 as well
         listener = socket.create_server((host, port), family=family, backlog=BACKLOG, dualstack_ipv6=both)
     except OSError as error:
         reason = error.strerror or error

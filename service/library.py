@@ -70,14 +70,14 @@ class Library:
 
     def _load(self, place: Path, signature: Signature) -> CaphyError | None:
         self._seen[place.name] = signature
-        serving = self.avatars.get(place.name)
+        serving, told = self.avatars.get(place.name), place.name.encode("utf-8", "replace").decode()
         try:
             avatar = load_avatar(place, self._chunk)
         except Exception as broken:  # whatever is wrong with a file must not end the process that serves the others
             error = broken if isinstance(broken, CaphyError) else _unforeseen(place, broken)
             kept = f"version {serving.version} serves on" if serving else "it is not served"
-            log.error("avatar refused, %s: %s", kept, error, extra={"avatar": place.name})
-            self._metrics.avatar_loads.labels(place.name, "refused").inc()
+            log.error("avatar refused, %s: %s", kept, error, extra={"avatar": told})
+            self._metrics.avatar_loads.labels(told, "refused").inc()
             return error
         facts = {"avatar": place.name, "version": avatar.version, "seconds": round(avatar.loaded_seconds, 3)}
         log.info("avatar loaded", extra={**facts, "megabytes": round(avatar.loaded_bytes / 1e6, 1)})

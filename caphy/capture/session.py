@@ -28,7 +28,7 @@ from caphy.garment.template import Garment, read_npz, write_npz
 from caphy.io.places import writable_folder, write_bytes, write_text
 from caphy.io.poses import PoseSequence, read_poses
 from caphy.io.poses.canonical import write_poses
-from caphy.pipeline.stage import UNFINISHED, fingerprint
+from caphy.pipeline.stage import fingerprint
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _claim(plan: Plan, folder: Path, truth: Path) -> bool:
 def _require_empty(folder: Path) -> None:
     """Raises :class:`CaphyError` where something lies in a folder of which no plan tells that caphy wrote it."""
     for path in sorted(writable_folder(folder).glob("*")):
-        if not path.name.endswith(UNFINISHED):  # else a kill amid the plan left it
+        if not path.name.startswith("."):  # else a kill amid the plan left it, or the system's own
             raise CaphyError(
                 f"{folder}: a session would be written there, and it holds {path.name!r} of no session; move it, or "
                 "choose another folder"

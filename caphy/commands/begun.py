@@ -162,6 +162,7 @@ def _parted(
     options: Train, garment: Garment, model: Model, trained: Sequence[PoseSequence], before: dict, clips: list[str]
 ) -> str:
     """With what else a training was begun, in words; empty where all is the same."""
+    from caphy.body.bundled import default_body_path
     from caphy.effects.model import Model
     from caphy.garment.template import REALS, Garment
 
@@ -170,7 +171,9 @@ def _parted(
     for field in fields(options):
         if field.name in before and field.name not in may:
             was, given = (option(field.type, values[field.name], folder) for values in (before, now))
-            if was != given:
+            if field.name == "body":
+                was, given = (default_body_path() if body is None else body for body in (was, given))
+            if was != given and not (field.name == "worn" and was is None):
                 return f"with --{field.name.replace('_', '-')} {was}, not {given}"
     worn, names = Garment.load(options.output / GARMENT), [Path(clip.source).name for clip in trained]
     if worn.vertices.shape != garment.vertices.shape or not (worn.faces == garment.faces).all():

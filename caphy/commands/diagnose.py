@@ -59,7 +59,8 @@ def main(arguments: list[str]) -> None:
     """Run ``caphy diagnose`` with the arguments after it."""
     command = tyro.cli(Diagnose, args=arguments, prog="caphy diagnose")
     writable_folder(command.output)
-    writable_file(command.output / "model.json", inputs=[command.model])
+    for name in ("model.json", "diagnosis.json"):
+        writable_file(command.output / name, inputs=[command.model])
     model = physics_model(command.model, command.effect_file)
     tables = [path for path in command.measurements if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(command.measurements):
@@ -215,8 +216,7 @@ def _diagnose_curves(command: Diagnose, model: Model) -> None:
     with unfinished(command.output / UNFINISHED) as folder:
         kept = Kept(folder, command.effect_file)
         answer = diagnose_tables(model, command.measurements, command.output, command.held_out, kept, command.model)
-    for stale in (PROOF, "model.json"):  # of films, which an earlier run was of
-        (command.output / stale).unlink(missing_ok=True)
+    (command.output / PROOF).unlink(missing_ok=True)  # an earlier run's, of films
     if answer.verdict in ("named", "none of these"):
         print("\n".join(after_curves(answer.found, answer.found_used, command)))
 

@@ -73,6 +73,7 @@ def main(arguments: list[str]) -> int:
                 f"{command.output}: for tables of tensile tests give a folder; each fabric gets a model in it"
             )
         writable_folder(command.output)
+        writable_file(command.output / "refit.json", inputs=[command.model])
         with unfinished(command.output / UNFINISHED) as folder:
             kept = Kept(folder, command.effect_file)
             found = refit_tables(

@@ -223,7 +223,7 @@ def prepare(options: Train, record: bool = True) -> Trainer:
         network = initial.network
         initial.require_joints(joints)
     network, fps = network.to(options.device), network.fps
-    trained, held_out = _clips(options)
+    trained, held_out = _clips(options) if record else _same_clips(options)
     motions = Motions.of([v for clip in trained for v in varied(clip, fps)], body, network.driving, fps, betas)
     long = [clip for clip in (clip.resample(fps) for clip in held_out) if len(clip) >= SHORTEST]
     unseen = Motions.of(long, body, network.driving, fps, betas) if long else None
@@ -303,8 +303,10 @@ def reopen(folder: Path, poses: tuple[Path, ...] = ()) -> Trainer:
     For :func:`caphy.commands.onward.onward` and for looking at losses; the trainer's own checkpoint is not loaded.
 
     Raises:
-        CaphyError: the folder holds no training, or ``poses`` are other motions than it was on.
+        CaphyError: the folder holds no training, or the motions are others than it was on.
     """
+    from caphy.register.styles import KINDS
+
     path = folder / OPTIONS
     try:
         given = json.loads(path.read_text())
@@ -312,13 +314,19 @@ def reopen(folder: Path, poses: tuple[Path, ...] = ()) -> Trainer:
         options = Train(**{f.name: option(f.type, given[f.name], folder.resolve()) for f in known})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
-    on = replace(
-        options, garment=folder / GARMENT, output=folder, init=folder, transfer=None, fabric=None, model=folder / MODEL
-    )
+    worn = options.garment.stem if options.scans is not None and options.garment.stem in KINDS else None
+    on = replace(options, worn=options.worn or worn, garment=folder / GARMENT, model=folder / MODEL)
+    on = replace(on, output=folder, init=folder, transfer=None, fabric=None)
     if poses and on.poses:
         on = replace(on, poses=poses, held_out=tuple(_found_again(path, poses) for path in on.held_out))
-        require_same_motions(folder, _clips(on)[0])
     return prepare(on, record=False)
+
+
+def _same_clips(options: Train) -> tuple[list[PoseSequence], list[PoseSequence]]:
+    """As :func:`_clips` of a training that was begun; raises :class:`CaphyError` where it was on other motions."""
+    trained, held_out = _clips(options)
+    require_same_motions(options.output, trained)
+    return trained, held_out
 
 
 def _found_again(path: Path, poses: tuple[Path, ...]) -> Path:

@@ -11,7 +11,8 @@ from caphy.effects.body_contact import depth, penalty
 from caphy.effects.cloth import Cloth
 
 _THINNEST = 1e-3
-"""Depth over which the push grows, at least [m]: it goes by the square, and none would be no contact."""
+"""Depth over which the push grows, at least [m], or all that it did without: it goes by the square, and none would be
+no contact."""
 
 
 class ContactThickness(Effect):
@@ -19,7 +20,8 @@ class ContactThickness(Effect):
 
     p is the penalty of body_contact, d the signed depth below the model's contact distance and k the stiffness of the
     model's body_contact, so that with it the sum is contact at the greater distance. Negative t lets the cloth come
-    nearer, and below the model's distance into the body: the push grows over a millimetre at least.
+    nearer, and below the model's distance into the body: the push grows over a millimetre at least, or all of a
+    distance that is less.
     """
 
     name = "contact_thickness"
@@ -57,7 +59,7 @@ class ContactThickness(Effect):
     def _depths(self, e: Elements, p: Values) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
         """Depth and depth of the skin, with the thickness and without."""
         below, skin = depth(e, p["body_contact.distance"]), p["body_contact.distance"] + e.rest["layer"]
-        thicker = (skin + p["thickness"]).clamp_min(_THINNEST)
+        thicker = torch.maximum(skin + p["thickness"], skin.clamp_max(_THINNEST))
         return ((below + p["thickness"]).clamp_min(0), thicker), (below.clamp_min(0), skin)
 
     def _stiff(self, e: Elements, p: Values, depth: Tensor) -> Tensor:

@@ -168,11 +168,21 @@ def _balanced(table: Table, transverse: np.ndarray) -> tuple[np.ndarray, np.ndar
     ]
     (below, deep), (above, deeper) = found
     at = np.where(deep < deeper, below, above)
-    x, y = (np.stack([each[rows, best + k] for k in (-1, 0, 1)]) for each in (transverse, along))
-    share = [
-        (at - x[j]) * (at - x[k]) / ((x[i] - x[j]) * (x[i] - x[k])) for i, j, k in ((0, 1, 2), (1, 0, 2), (2, 0, 1))
-    ]
-    return at, np.einsum("in,in->n", np.stack(share), y)
+    x, y, push = (np.stack([each[rows, best + k] for k in (-1, 0, 1)]) for each in (transverse, along, across))
+    for _ in range(3):  # to where the forces balance: where they are steep, the force along goes by the last digits
+        value, slope = _parabola(x, push, at)
+        at = np.where(slope > 0, np.clip(at - value / np.where(slope > 0, slope, 1.0), x[0], x[2]), at)
+    return at, _parabola(x, y, at)[0]
+
+
+def _parabola(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Value and slope at places (N,) of parabolas through three nodes (3, N)."""
+    value, slope = np.zeros_like(at), np.zeros_like(at)
+    for i, j, k in ((0, 1, 2), (1, 0, 2), (2, 0, 1)):
+        weight = y[i] / ((x[i] - x[j]) * (x[i] - x[k]))
+        value += weight * (at - x[j]) * (at - x[k])
+        slope += weight * (2 * at - x[j] - x[k])
+    return value, slope
 
 
 def _least(
@@ -183,7 +193,7 @@ def _least(
     cubic, square = step * (slope + slope1) - 2 * rise, 3 * rise - step * (2 * slope + slope1)
     line = step * slope
     root = np.sqrt(np.maximum(square**2 - 3 * cubic * line, 0.0))
-    inner = np.clip(-line / np.where(square + root > 1e-300, square + root, np.inf), 0.0, 1.0)
+    inner = np.clip(-line / np.where(np.abs(square + root) > 1e-300, square + root, np.inf), 0.0, 1.0)
     places = np.stack([np.zeros_like(inner), inner, np.ones_like(inner)])
     values = work + places * (line + places * (square + places * cubic))
     least = values.argmin(0)

@@ -9,11 +9,12 @@ import numpy as np
 
 from caphy.tensile.fit import Fit
 from caphy.tensile.loadings import Tests, rows_of
-from caphy.tensile.null import chance, systematic
+from caphy.tensile.null import systematic
 
 _PARTS = (("small", 0, 8), ("middle", 8, 16), ("large", 16, 24))
 _LEAST_LOADINGS, _STEADY = 4, 0.9  # loadings, and correlation of force with their number, for a drift
 _LEAST = 0.05  # of the force, to be worth a sentence
+_SCATTER = 1.0  # of what is systematic, where it is scatter
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,8 @@ def share_left(fits: Mapping[str, Fit], before: Mapping[str, Fit]) -> float:
     """What is left of the systematic misfit beyond chance, as a share of what there was before; mean over fabrics."""
     shares = []
     for fabric, fit in fits.items():
-        floor = min(1.0, chance(fit.bench))
-        first = systematic(before[fabric].bench, before[fabric].residual) - floor
-        left = systematic(fit.bench, fit.residual) - floor
+        first = systematic(before[fabric].bench, before[fabric].residual) - _SCATTER
+        left = systematic(fit.bench, fit.residual) - _SCATTER
         if first > 0:
             shares.append(max(left, 0.0) / first)
     return float(np.mean(shares)) if shares else 0.0

@@ -73,7 +73,7 @@ def test_what_may_be_chosen_is_told(command, option, choices, capsys) -> None:
 @pytest.mark.parametrize(
     ("command", "told"),
     [
-        ("garment info", ["a garment npz"]),
+        ("garment info", ["as 'caphy garment make' and 'from-mesh' write it"]),
         ("garment check", ["the mesh", "an SMPL-X-format npz", "shape coefficients"]),
         ("scans check", ["folder with a scans.toml"]),
     ],

@@ -242,6 +242,18 @@ def test_a_training_is_opened_again_on_the_garment_that_is_kept_beside_its_netwo
     np.testing.assert_array_equal(trainer.objective.potential.cloth.faces, kept.faces)
 
 
+def test_a_training_whose_motions_are_shared_out_otherwise_is_not_opened_again(inputs):
+    """Or it would be on frames that it holds out."""
+    from caphy.commands.train import reopen
+
+    assert train(inputs) == 0
+    told = json.loads((inputs / "run" / "options.json").read_text())
+    told["held_out"] = []
+    (inputs / "run" / "options.json").write_text(json.dumps(told))
+    with pytest.raises(CaphyError, match="was trained on other motions"):
+        reopen(inputs / "run")
+
+
 def test_held_out_frames_are_not_trained_on(inputs, monkeypatch):
     from caphy.commands.train import Train, _clips
 

@@ -121,6 +121,20 @@ def test_contact_cannot_be_taken_away_by_its_distance():
         Model(0.2, {"body_contact": {"distance": 0.0}})
 
 
+@pytest.mark.parametrize("distance", [5e-4, 4e-3])
+def test_no_thickness_is_no_effect(distance):
+    cloth = irregular_cloth()
+    at = moment(cloth)
+    up = torch.zeros_like(at.x) + torch.tensor([0.0, 1.0, 0.0], dtype=at.x.dtype)
+    inside = BodyState(at.x + 0.004 * up, up, torch.zeros_like(at.x), at.x)
+    plain = Model(cloth.density, {"body_contact": {"distance": distance}})
+    without, with_none = (
+        Potential(model, cloth).gradient(at.x, at.step, inside)
+        for model in (plain, plain.with_effect("contact_thickness", thickness=0.0))
+    )
+    assert all(torch.equal(one, other) for one, other in zip(without, with_none, strict=True))
+
+
 @pytest.mark.parametrize("thickness", [-0.02, -0.01, -0.004])
 def test_contact_nearer_than_its_distance_is_still_contact(thickness):
     """30 mm inside the body: contact of 4 mm begins 4 - t mm from the skin, and pushes where that is passed."""

@@ -125,6 +125,12 @@ def test_after_a_pause_times_go_on_as_the_file_has_them(monkeypatch: pytest.Monk
     assert "1 time stamps are missing, do not rise or jump" in video.notes[0]
 
 
+def test_pictures_that_come_in_pairs_are_not_slowed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The second of each pair is moved on, and no other with it."""
+    video = _captured(monkeypatch, tmp_path, [0.0, 0.001, 0.1, 0.101, 0.2, 0.201, 0.3], 7)
+    np.testing.assert_allclose([picture.time for picture in video], [0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3])
+
+
 def test_one_broken_time_stamp_costs_no_other(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     video = _captured(monkeypatch, tmp_path, [0.0, 0.1, 9.0, 0.3, np.nan, 0.42], 6)
     np.testing.assert_allclose([picture.time for picture in video], [0.0, 0.1, 0.15, 0.3, 0.35, 0.42])

@@ -224,5 +224,6 @@ def test_a_folder_whose_name_no_address_can_hold_is_refused(folder, library):
     shutil.copytree(folder / "shell", Path(os.fsdecode(os.fsencode(folder) + b"/caf\xe9")))
     library.look()
     assert list(library.avatars) == ["shell"]
+    assert b'caphy_avatar_loads_total{avatar="caf' in library._metrics.exposition()
     with pytest.raises(CaphyError, match="folder's name must be UTF-8"):
         load_avatar(next(path for path in folder.iterdir() if path.name.startswith("caf")), 8)

@@ -114,9 +114,10 @@ def test_directions_that_differ_are_found_beside_the_mu_that_was_given(mu):
     assert any("bias" in sentence and "lame_mu is held" in sentence for sentence in answer.ambiguity)
 
 
-def test_a_measured_fabric_is_right_of_its_own_curve():
+@pytest.mark.parametrize("name", ["gray-interlock", "navy-sparkle-sweat"])
+def test_a_measured_fabric_is_right_of_its_own_curve(name):
     """Pulled along the warp, its energy has a cliff where it is stretched alike both ways."""
-    fabric, curves = fabric_model("gray-interlock"), []
+    fabric, curves = fabric_model(name), []
     random, strain = np.random.default_rng(0), np.linspace(0, 0.2, 80)
     for direction in ("weft", "warp"):
         told = model_curve(fabric, strain, direction)

@@ -80,7 +80,7 @@ class Video:
             stamp = next((stated - out for out in (left_out, 0.0) if self._follows(stated - out, last)), None)
             if stamp is None:
                 stamp, repaired = last + 1 / self.fps, repaired + (not self.is_camera)
-                left_out = stated - stamp if stated - left_out > last else left_out
+                left_out = max(0.0, stated - stamp) if stated - left_out > last else left_out
             else:
                 left_out = stated - stamp
             last = stamp
