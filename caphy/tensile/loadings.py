@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,8 +99,7 @@ def prepared(curves: Sequence[ForceCurve], held_out: Sequence[ForceCurve] = ()) 
     for curve in kept:
         groups.setdefault((curve.fabric, curve.direction), []).append(curve)
     telling = {key: [curve for curve in part if curve.name not in away] or part for key, part in groups.items()}
-    known, every = ([s for part in of.values() if (s := _share(part)) is not None] for of in (telling, groups))
-    shares = known or every
+    shares = _shares(telling.values()) or _shares(groups.values())
     if not shares:
         raise CaphyError(
             f"{kept[0].source or 'force curves'}: at least one fabric needs two or more loadings of one direction: "
@@ -109,8 +108,9 @@ def prepared(curves: Sequence[ForceCurve], held_out: Sequence[ForceCurve] = ()) 
     fabrics: Fabrics = {}
     for (fabric, direction), part in groups.items():
         tests = _tests(fabric, direction, part, telling[fabric, direction], float(np.median(shares)))
-        fabrics.setdefault(fabric, []).append(tests)
-        cautions += _beyond(tests, part)
+        short = [loading.curve.name for loading in tests.loadings if not np.isfinite(loading.force).any()]
+        cautions += [*_beyond(tests, part), *_before(tests, short)]
+        fabrics.setdefault(fabric, []).append(tests.picked(lambda curve, short=short: curve.name not in short))
     return fabrics, cautions
 
 
@@ -123,6 +123,16 @@ def _beyond(tests: Tests, curves: Sequence[ForceCurve]) -> list[str]:
     return [
         f"{', '.join(far)} {'goes' if len(far) == 1 else 'go'} beyond the strain of {100 * top:.3g} % "
         "that half of the loadings reach; rows beyond it are left out, so that nothing is said of what they show."
+    ]
+
+
+def _before(tests: Tests, short: Sequence[str]) -> list[str]:
+    """What is said of loadings that end before the first bin, which are left out."""
+    if not short:
+        return []
+    return [
+        f"{', '.join(short)} {'ends' if len(short) == 1 else 'end'} before a strain of "
+        f"{100 * _FIRST * float(tests.axial[-1]):.2g} %, where the others are looked at; left out."
     ]
 
 
@@ -168,6 +178,11 @@ def _spread(loadings: Sequence[Loading]) -> np.ndarray | None:
     count = np.isfinite(stack).sum(0)
     left = stack - np.nansum(stack, 0) / np.maximum(count, 1)
     return np.where(count > 1, np.nansum(left**2, 0) / np.maximum(count - 1, 1), np.nan)
+
+
+def _shares(groups: Iterable[Sequence[ForceCurve]]) -> list[float]:
+    """:func:`_share` of those that have repeats."""
+    return [share for group in groups if (share := _share(group)) is not None]
 
 
 def _share(curves: Sequence[ForceCurve]) -> float | None:

@@ -11,7 +11,7 @@ import pytest
 
 from caphy.report.page import tracks
 from caphy.report.page.compose import Section, comparison_page, diagnosis_page
-from caphy.report.page.plots import bar_plot, time_plot
+from caphy.report.page.plots import bar_plot, lag_plot, time_plot
 from caphy.report.page.tracks import Track, pack
 
 
@@ -172,3 +172,9 @@ def test_a_diagnosis_says_that_there_are_more_numbers_and_knows_no_minus_nothing
     page = diagnosis_page("t", document, [], {})
     assert "-0.0" not in page and page.count("<td>0.0 %</td>") == 2
     assert "v0 0.5 N, v1 0.5 N, v2 0.5 N, ...</td>" in page and "0.1 N</td>" in page
+
+
+def test_errors_after_a_restart_are_drawn_where_nothing_was_measured():
+    rows = [{"lag": lag, "median_mm": None} for lag in (1, 2, 3)]
+    assert 'class="dot"' not in lag_plot(rows, 0.5)
+    assert lag_plot([*rows, {"lag": 4, "median_mm": 2.0}], None).count('class="dot"') == 1

@@ -636,3 +636,13 @@ def test_what_is_held_out_does_not_tell_how_much_repeats_scatter():
     np.testing.assert_array_equal(beside.axial, alone.axial)
     np.testing.assert_array_equal(beside.scatter, alone.scatter)
     assert [loading.curve.loading for loading in beside.loadings] == [1, 2, 3, 4]
+
+
+def test_a_loading_that_ends_before_the_others_are_looked_at_is_left_out():
+    """Held out, it would be judged by nothing."""
+    sheet, strain = Sheet(2000.0, 2000.0, 500.0), np.linspace(0, TOP / 120, 40)
+    curves, (force, narrow) = measured(sheet, TOP, loadings=3), sheet.curve(strain, "weft")
+    short = ForceCurve("cloth", "weft", 4, strain, narrow, force)
+    fabrics, cautions = prepared(curves, [short])
+    assert [len(test.loadings) for test in fabrics["cloth"]] == [3, 3]
+    assert any("weft 4 ends before a strain of 0.25 %" in caution for caution in cautions)

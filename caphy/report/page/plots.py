@@ -166,7 +166,7 @@ def step_plot(title: str, x_label: str, bins: Sequence[dict], floor: Value) -> s
 def lag_plot(rows: Sequence[dict], floor: Value) -> str:
     """Median error [mm] against frames since the restart."""
     known = [row for row in rows if row["median_mm"] is not None]
-    last = max(known[-1]["lag"], 2)
+    last = max([2, *(row["lag"] for row in known)])
     high = 1.08 * max([row["median_mm"] for row in known] + [floor or 0, 1e-3])
     x, y = _scale(0, last, LEFT, WIDTH - RIGHT), _scale(0, high, HEIGHT - BOTTOM, TOP)
     body = _y_axis(y, high) + _x_axis(x, 0, last)
