@@ -314,6 +314,7 @@ def reopen(folder: Path, poses: tuple[Path, ...] = ()) -> Trainer:
         options = Train(**{f.name: option(f.type, given[f.name], folder.resolve()) for f in known})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaphyError(f"{folder}: is not a folder that 'caphy train' wrote: {error!r}") from error
+    # of trainings from before their options told it: the copy beside the network is called otherwise
     worn = options.garment.stem if options.scans is not None and options.garment.stem in KINDS else None
     on = replace(options, worn=options.worn or worn, garment=folder / GARMENT, model=folder / MODEL)
     on = replace(on, output=folder, init=folder, transfer=None, fabric=None)

@@ -20,8 +20,8 @@ class ContactThickness(Effect):
 
     p is the penalty of body_contact, d the signed depth below the model's contact distance and k the stiffness of the
     model's body_contact, so that with it the sum is contact at the greater distance. Negative t lets the cloth come
-    nearer, and below the model's distance into the body: the push grows over a millimetre at least, or all of a
-    distance that is less.
+    nearer, and where it exceeds the model's distance, into the body. The push grows over the distance that is left, but
+    over a millimetre at least, or all of a model's distance that is less.
     """
 
     name = "contact_thickness"

@@ -168,10 +168,15 @@ def _binned(curve: ForceCurve, edges: np.ndarray, axial: np.ndarray) -> Loading:
     return Loading(curve, means[0], means[1], means[2], average)
 
 
+def repeats_of(loadings: Sequence[Loading]) -> list[Loading]:
+    """Loadings of used cloth, or all where that is fewer than two."""
+    used = [loading for loading in loadings if loading.used]
+    return used if len(used) > 1 else list(loadings)
+
+
 def _spread(loadings: Sequence[Loading]) -> np.ndarray | None:
     """Variance between repeats (2, B), NaN where fewer than two were measured; None without repeats."""
-    repeats = [loading for loading in loadings if loading.used]
-    repeats = repeats if len(repeats) > 1 else list(loadings)
+    repeats = repeats_of(loadings)
     if len(repeats) < 2:
         return None
     stack = np.stack([loading.measured for loading in repeats])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from caphy.tensile.fit import Bench, Fit
-from caphy.tensile.loadings import Loading, Tests, rows_of
+from caphy.tensile.loadings import Tests, repeats_of, rows_of
 
 DRAWS = 200
 _SAFETY = 2.0  # on the null's 99 %, which few repeats know badly
@@ -56,7 +56,7 @@ def deviations(test: Tests) -> np.ndarray:
 
     Where there are no repeats, independent draws stand for them.
     """
-    repeats = _repeats(test)
+    repeats = repeats_of(test.loadings)
     if len(repeats) < 2:
         return np.random.default_rng(0).normal(size=(8, 2, 1)) * np.isfinite(test.loadings[0].measured)
     stack = np.stack([loading.measured for loading in repeats]) / test.scatter
@@ -67,10 +67,4 @@ def deviations(test: Tests) -> np.ndarray:
 
 def freedom(test: Tests) -> int:
     """Degrees of freedom that the scatter of a test's repeats is known by; 0 where there are none."""
-    return len(_repeats(test)) - 1
-
-
-def _repeats(test: Tests) -> list[Loading]:
-    """Loadings of used cloth, or all where that is fewer than two."""
-    repeats = [loading for loading in test.loadings if loading.used]
-    return repeats if len(repeats) > 1 else list(test.loadings)
+    return len(repeats_of(test.loadings)) - 1

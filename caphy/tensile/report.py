@@ -95,7 +95,7 @@ def write(
 
     The models are of used cloth, which remembers the largest energy of either direction; where the first loading
     differs, ``FABRIC_first.json`` is of that. With ``since``, the model that was fitted, to tables called ``data``,
-    their history says so. No file that was ``read`` is written over.
+    their history says so. Models have no name of a file that was ``read`` from the same folder.
     """
     from caphy import __version__
     from caphy.report.page.compose import tensile_page
