@@ -10,6 +10,7 @@ import trimesh
 from caphy.body.bundled import default_body
 from caphy.errors import CaphyError
 from caphy.report.camera import Camera
+from caphy.report.page.colours import nice_ceiling
 from caphy.report.render import Shape, contact_sheet, render, vertex_normals, write_png
 
 RED, GREEN, BLUE = (0.9, 0.1, 0.1), (0.1, 0.9, 0.1), (0.1, 0.1, 0.9)
@@ -125,3 +126,12 @@ def test_what_can_be_put_right_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex", None)
     with pytest.raises(CaphyError, match=r"caphy\[render\]"):
         render([ball()])
+
+
+@pytest.mark.parametrize(
+    ("value", "ceiling"),
+    [(0.14, "0.15"), (0.028, "0.03"), (0.0011, "0.0015"), (1.0, "1.0"), (16.0, "20.0"), (96.0, "100.0"), (0.0, "1.0")],
+)
+def test_a_scale_ends_at_a_number_that_is_written_shortly(value, ceiling):
+    """It stands beside the colours as it is."""
+    assert repr(nice_ceiling(value)) == ceiling

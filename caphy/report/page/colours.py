@@ -33,5 +33,6 @@ def nice_ceiling(value: float) -> float:
     """The next of 1, 1.5, 2, 3, 5, 10, 15, 20, ... (and tenths of them) that is not smaller."""
     if not np.isfinite(value) or value <= 0:
         return 1.0
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(next(power * step for step in (1, 1.5, 2, 3, 5, 10) if power * step >= value * (1 - 1e-9)))
+    power = int(np.floor(np.log10(value)))
+    steps = (float(f"{step}e{power}") for step in (1, 1.5, 2, 3, 5, 10))  # written, so that 0.15 has no further digits
+    return next(step for step in steps if step >= value * (1 - 1e-9))
