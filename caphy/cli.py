@@ -61,6 +61,8 @@ def command() -> NoReturn:
     if status in (INTERRUPTED, TERMINATED):
         # threads that write to processes which are gone would be waited for for ever
         if (util := sys.modules.get("multiprocessing.util")) is not None:
+            # held, or a thread that ends lets go of its semaphore, and would be stopped amid clearing that away
+            held = [each() for ended in list(util._finalizer_registry.values()) if (each := ended._weakref) is not None]
             for child in sys.modules["multiprocessing"].active_children():
                 child.kill()  # one that still begins would miss its semaphores
                 child.join()
@@ -68,6 +70,7 @@ def command() -> NoReturn:
                 if not thread.daemon and thread is not threading.main_thread():
                     thread.join(timeout=1)
             util._run_finalizers(0)  # or its tracker complains of semaphores
+            del held
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

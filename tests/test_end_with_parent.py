@@ -117,3 +117,26 @@ def test_what_timeout_sends_ends_it_as_ctrl_c_does(tmp_path: Path) -> None:
     )
     ended = subprocess.run([*HEEDS, str(script), "0.3"], capture_output=True, text=True, check=False, timeout=60)
     assert (ended.returncode, ended.stdout, ended.stderr) == (143, "", "")
+
+
+SLOWLY = """
+import multiprocessing.synchronize, threading, time
+unlink = multiprocessing.synchronize.sem_unlink
+
+def slowly(name):
+    unlink(name)
+    if threading.current_thread() is not threading.main_thread():
+        time.sleep(0.5)
+
+multiprocessing.synchronize.sem_unlink = slowly
+"""
+
+
+def test_no_thread_is_stopped_amid_clearing_away_its_semaphore(tmp_path: Path) -> None:
+    """As on a machine with more to do: threads that write end when the processes do that they write to."""
+    script = tmp_path / "parent.py"
+    script.write_text(SLOWLY + WRITING)
+    ended = subprocess.run(
+        [*HEEDS, str(script), "0.5"], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
