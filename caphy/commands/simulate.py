@@ -77,6 +77,7 @@ def _simulate(command: Simulate, folder: Path) -> None:
 
     from caphy.commands.body import load_body, tell_other_body
     from caphy.effects.cloth import Cloth
+    from caphy.effects.mass import require_mass
     from caphy.effects.potential import Potential
     from caphy.io.poses import read_poses
     from caphy.io.poses.sequence import RATES
@@ -96,7 +97,7 @@ def _simulate(command: Simulate, folder: Path) -> None:
     tell_other_body(garment, body.rest(betas)[1])
     potential = Potential(model, Cloth.of(garment, model.density))
     print(f"{garment.name}: {len(garment.vertices)} vertices, {len(poses)} frames at {poses.fps:g} fps; dressing ...")
-    _require_mass(potential)
+    require_mass(potential)
     start, begun = _dressed(potential, motion, kept)
     with tqdm(total=len(poses), unit="frame") as bar:
         trajectory = simulate(
@@ -115,27 +116,6 @@ def _simulate(command: Simulate, folder: Path) -> None:
         print(_sheet(command.render, trajectory, motion))
     else:
         print("pictures come with --render sheet.png")
-
-
-def _require_mass(potential: Potential) -> None:
-    """Raise :class:`CaphyError` where what a garment has too much of, by its model, is more than its cloth."""
-    import torch
-
-    from caphy.effects.mass import Mass
-
-    rest, cloth = torch.as_tensor(potential.cloth.vertices), potential.cloth
-    mass, loads = torch.as_tensor(cloth.mass).clone(), []
-    for name, term in potential.terms.items():
-        if isinstance(term.effect, Mass):
-            elements = potential.elements(term, rest, None, None)
-            mass.index_add_(0, term.index.reshape(-1), term.effect.mass(elements, term.values))
-            loads.append(name)
-    if not (mass > 0).all():
-        lightest = int(mass.argmin())
-        raise CaphyError(
-            f"the mass of every vertex must be positive, but vertex {lightest} has {mass[lightest]:.3g} kg of "
-            f"{cloth.mass[lightest]:.3g} kg of cloth by {' and '.join(loads)}; change their numbers in the model"
-        )
 
 
 def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> tuple[State, tuple[Report, ...]]:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 
 from caphy.effects.base import Effect, Elements, Values
 from caphy.effects.vectors import dot, isotropic, uniform
+from caphy.errors import CaphyError
+
+if TYPE_CHECKING:
+    from caphy.effects.potential import Potential
 
 
 class Mass(Effect):
@@ -47,3 +53,21 @@ class Mass(Effect):
     def _stiffness(self, e: Elements, p: Values) -> Tensor:
         mass = self.mass(e, p)
         return torch.zeros_like(mass) if e.dt is None else mass / e.dt**2
+
+
+def require_mass(potential: Potential) -> None:
+    """Raise :class:`CaphyError` where what a garment has too much of, by its model, is more than its cloth."""
+    cloth, loads = potential.cloth, []
+    rest = torch.as_tensor(cloth.vertices, dtype=potential.dtype, device=potential.device)
+    mass = torch.as_tensor(cloth.mass, dtype=potential.dtype, device=potential.device).clone()
+    for name, term in potential.terms.items():
+        if isinstance(term.effect, Mass):
+            elements = potential.elements(term, rest, None, None)
+            mass.index_add_(0, term.index.reshape(-1), term.effect.mass(elements, term.values))
+            loads.append(name)
+    if not (mass > 0).all():
+        lightest = int(mass.argmin())
+        raise CaphyError(
+            f"the mass of every vertex must be positive, but vertex {lightest} has {float(mass[lightest]):.3g} kg of "
+            f"{cloth.mass[lightest]:.3g} kg of cloth by {' and '.join(loads)}; change their numbers in the model"
+        )

@@ -12,6 +12,7 @@ from torch import Tensor
 from caphy.body.model import BodyModel
 from caphy.body.skinning import blend_transforms, skin
 from caphy.effects.base import BodyState, Step
+from caphy.effects.mass import require_mass
 from caphy.effects.potential import Potential
 from caphy.recorded import Recorded
 from caphy.training.motions import Motions
@@ -51,7 +52,12 @@ class Objective:
     def __init__(
         self, potential: Potential, body: BodyModel, template: Tensor, weights: Tensor, fps: float, betas=None
     ) -> None:
-        """``template`` (V, 3) [m] and ``weights`` (V, 55) are the network's, in float32."""
+        """``template`` (V, 3) [m] and ``weights`` (V, 55) are the network's, in float32.
+
+        Raises:
+            CaphyError: a vertex would have no mass, or less, see :func:`require_mass`.
+        """
+        require_mass(potential)
         self.potential, self.body, self.betas, self.dt = potential, body, betas, 1 / fps
         self.template, self.weights = template, weights
         self.seen = skin_seen(body, betas, template)
@@ -76,7 +82,8 @@ class Objective:
         return scene.x, self.potential.loss(scene.x, scene.step, scene.body) - ground, past
 
     def under(self, potential: Potential) -> Objective:
-        """The same with another physics of the same cloth."""
+        """The same with another physics of the same cloth; raises what making one does."""
+        require_mass(potential)
         other = copy.copy(self)
         other.potential = potential
         return other
