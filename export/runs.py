@@ -15,14 +15,11 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.poses.parts import file_of
+from caphy.io.training_folder import GARMENT, METRICS, MODEL, NETWORK, RECORD
 from caphy.network.files import load_network
 from caphy.network.garment_network import GarmentNetwork
-from caphy.training.loop import METRICS, read_metrics
+from caphy.training.loop import read_metrics
 
-NETWORK = "network.safetensors"
-GARMENT = "garment.npz"
-SETTINGS = "run.json"
-MODEL = "model.json"
 VALIDATION = "validation.json"
 
 
@@ -54,7 +51,7 @@ def read_run(folder: Path, say: Callable[[str], None] = print) -> Run:
         network.template.numpy(), garment.vertices, atol=1e-5
     ):
         raise CaphyError(f"{folder}: {GARMENT} is not the garment that {NETWORK} was trained on; train again")
-    settings, model = _json(folder / SETTINGS), _json(folder / MODEL)
+    settings, model = _json(folder / RECORD), _json(folder / MODEL)
     held_out = tuple(name for name in settings.pop("held_out_paths", []) if Path(file_of(name)).is_file())
     settings.pop("body", None)  # a path on the machine it was trained on
     digest = hashlib.sha256((folder / NETWORK).read_bytes()).hexdigest()

@@ -13,9 +13,10 @@ import numpy as np
 
 from caphy.commands.following import following
 from caphy.errors import CaphyError
-from caphy.evaluate.learnt_from import CONTENTS, INIT_SCANS, OPTIONS, RECORD, SCANS_DIGEST, learnt_from
+from caphy.evaluate.learnt_from import CONTENTS, INIT_SCANS, SCANS_DIGEST, learnt_from
 from caphy.io.bundled import OURS, path_of, recorded
 from caphy.io.places import write_text
+from caphy.io.training_folder import CHECKPOINT, GARMENT, MODEL, OPTIONS, RECORD
 
 if TYPE_CHECKING:
     from caphy.commands.train import Train
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from caphy.garment.template import Garment
     from caphy.io.poses import PoseSequence
     from caphy.training.initial import Initial
-
-GARMENT, MODEL = "garment.npz", "model.json"
 
 
 def option(kind: Any, value: Any, folder: Path) -> Any:
@@ -56,9 +55,7 @@ def exporting(name: str, *runs: Path) -> str:
 
 def interrupted(folder: Path) -> str:
     """What is left of a training that was stopped by hand, in words."""
-    from caphy.training.checkpoint import NAME
-
-    if (folder / NAME).exists():
+    if (folder / CHECKPOINT).exists():
         return "interrupted; go on from the last checkpoint with --resume"
     return "interrupted before the first checkpoint; nothing was kept, so begin again"
 

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied, exporting, interrupted
+from caphy.commands.begun import copied, exporting, interrupted
 from caphy.commands.output import OUTPUT
 from caphy.commands.seed import require_seed
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
+from caphy.io.training_folder import CHECKPOINT, GARMENT, MODEL, OPTIONS, RECORD
 
 if TYPE_CHECKING:
     from caphy.training.collide import Collider
@@ -50,7 +51,7 @@ def main(arguments: list[str]) -> int | None:
     if options.epochs < 1:
         raise CaphyError(f"--epochs must be positive, got {options.epochs}")
     require_seed(options.seed)
-    if (options.output / "checkpoint.safetensors").exists() and not options.resume:
+    if (options.output / CHECKPOINT).exists() and not options.resume:
         raise CaphyError(f"{options.output} holds a fine-tuning already: add --resume, or give another folder with -o")
     collider = prepare(options)
     if options.resume:

@@ -13,6 +13,7 @@ from caphy.commands.following import following
 from caphy.commands.other_garments import still_told
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
+from caphy.io.training_folder import NETWORK, OPTIONS
 from caphy.kept import Kept
 
 if TYPE_CHECKING:
@@ -221,7 +222,7 @@ LEAST_POINTS = 200
 
 def _network(folder: Path, subject: Subject, kind: str) -> Guess | None:
     """The network's held drape as a first guess, where there is a network."""
-    if not (folder / kind / "network.safetensors").is_file():
+    if not (folder / kind / NETWORK).is_file():
         return None
     wearing = replace(subject, garments={kind: subject.garments[kind]}).wearing(folder)
     return lambda worn: wearing.held(worn.still.pose, worn.still.transl).garments[kind][0]
@@ -229,7 +230,7 @@ def _network(folder: Path, subject: Subject, kind: str) -> Guess | None:
 
 def _require_trainable(run: Path, kind: str) -> None:
     """Raise CaphyError where alternations, which come after rounds that may take hours, could not be."""
-    from caphy.commands.begun import OPTIONS, option
+    from caphy.commands.begun import option
     from caphy.commands.onward import require_own
 
     folder = run / TRAINED / kind

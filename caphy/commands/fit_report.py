@@ -11,6 +11,7 @@ from typing import Any
 from caphy.commands.fit_pictures import all_pictures
 from caphy.commands.fit_scans import CHECKED, left_out, read
 from caphy.evaluate.learnt_from import TEMPLATES
+from caphy.io.training_folder import MODEL
 
 PAGE = "report.html"
 UNDONE = {
@@ -170,7 +171,7 @@ def _parameter_tables(run: Path) -> list[dict[str, Any]]:
 
     rows: list[Sequence[str]] = []
     for folder in final(run):
-        model = Model.load(folder / "model.json")
+        model = Model.load(folder / MODEL)
         rows.append([f"{folder.name}: density", f"{model.density:.3g}", "kg/m2"])
         for effect in [name for name in model.effects if name not in WORN]:
             units = {name: parameter.unit for name, parameter in find_effect(effect).parameters.items()}

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD
 from caphy.commands.fit_scans import CHECKED, KINDS, LABELLED, LABELS, SCANS, check_scans, read, segment_scans
 from caphy.commands.validate import REPORT as VALIDATION
 from caphy.errors import CaphyError
 from caphy.evaluate.learnt_from import TEMPLATES
+from caphy.io.training_folder import CHECKPOINT, GARMENT, MODEL, NETWORK, OPTIONS, RECORD
 from caphy.pipeline.ledger import Ledger
 from caphy.pipeline.processes import run_shared
 from caphy.pipeline.stage import Stage
@@ -25,7 +25,6 @@ SUBJECT = ("body.npz", "upper.npz", "lower.npz", "subject_body.npz", "points", "
 """What the registration leaves that training depends on."""
 STAGES = ("train", "fabric", "collided")
 """Folders of trainings, in order."""
-NETWORK = "network.safetensors"
 TRAINED = (NETWORK, GARMENT, MODEL, OPTIONS, RECORD)
 """What a training leaves that later stages depend on; a checkpoint, and what 'caphy validate' adds, is not of it."""
 
@@ -241,7 +240,7 @@ def _like_the_default(plan: Plan, kind: str) -> bool:
 
 def _train_one(plan: Plan, kind: str, folder: Path, share: float, physics: Sequence[str | Path]) -> None:
     """Train one garment, or what is missing of it, with a share of the budget."""
-    resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
+    resume = ["--resume"] if (folder / CHECKPOINT).is_file() else []
     options = [*plan.shared(share / len(kinds(plan.run))), "--seed", str(plan.seed), "--device", plan.device]
     where = [plan.run / f"{kind}.npz", *plan.poses, "-o", folder, "--scans", plan.run]
     _command("train", *where, *physics, *options, *resume, processes=plan.processes)
@@ -286,7 +285,7 @@ def _collide(plan: Plan) -> None:
     if len(worn) < 2:
         print(f"only a {worn[0]} garment: there is nothing for it to collide with")
         return
-    resume = ["--resume"] if (folder / "checkpoint.safetensors").is_file() else []
+    resume = ["--resume"] if (folder / CHECKPOINT).is_file() else []
     budget = ["--epochs", str(plan.collision_epochs), "--seed", str(plan.seed)]
     moved: list[str | Path] = ["--poses", *plan.poses] if plan.poses else []
     try:

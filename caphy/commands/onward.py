@@ -7,14 +7,14 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from caphy.commands.begun import GARMENT, MODEL, OPTIONS, RECORD, copied
+from caphy.commands.begun import copied
 from caphy.effects.model import Model
 from caphy.effects.potential import Potential
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
+from caphy.io.training_folder import CHECKPOINT, GARMENT, METRICS, MODEL, OPTIONS, RECORD
 from caphy.kept import digest
-from caphy.training.checkpoint import NAME
-from caphy.training.loop import METRICS, Schedule, Trainer
+from caphy.training.loop import Schedule, Trainer
 
 
 def onward(
@@ -46,7 +46,7 @@ def onward(
         after.resume()
         return after
     if after.rank == 0:
-        for name in (NAME, METRICS):
+        for name in (CHECKPOINT, METRICS):
             (folder / name).unlink(missing_ok=True)
         _record(trainer.folder, folder, model, own)
     return after
@@ -67,7 +67,7 @@ _RATE = "learning_rate"  # of no other record
 def require_own(folder: Path) -> None:
     """Raise CaphyError where :func:`onward` would overwrite another training, one whose record is lost or damaged
     included."""
-    if not (folder / NAME).is_file():
+    if not (folder / CHECKPOINT).is_file():
         return
     try:
         own = _RATE in json.loads((folder / RECORD).read_text())
@@ -81,7 +81,7 @@ def require_own(folder: Path) -> None:
 
 def _begun(folder: Path, model: Model, own: dict[str, Any]) -> bool:
     """Whether a folder holds what the same call has left; other trainings may have gone on there as well."""
-    if not all((folder / name).is_file() for name in (NAME, MODEL, RECORD)):
+    if not all((folder / name).is_file() for name in (CHECKPOINT, MODEL, RECORD)):
         return False
     record = json.loads((folder / RECORD).read_text())
     return Model.load(folder / MODEL) == model and {name: record.get(name) for name in own} == own

@@ -12,6 +12,7 @@ import tyro
 from caphy.commands.output import OUTPUT
 from caphy.commands.unfinished import UNFINISHED, unfinished
 from caphy.errors import CaphyError
+from caphy.io.bundled import bundled
 from caphy.io.places import writable_file
 from caphy.kept import Kept
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 class Simulate:
     """Move a garment with the reference solver: converged physics, for truth and for comparison with a network."""
 
-    garment: Annotated[str, tyro.conf.Positional]
+    garment: Annotated[Path, tyro.conf.Positional]
     """A garment npz, or "tshirt" or "trousers" for the bundled ones."""
     poses: Annotated[Path, tyro.conf.Positional]
     """A pose file that 'caphy poses info' can read."""
@@ -79,13 +80,14 @@ def _simulate(command: Simulate, folder: Path) -> None:
     from caphy.effects.cloth import Cloth
     from caphy.effects.mass import require_mass
     from caphy.effects.potential import Potential
+    from caphy.garment.template import Garment
     from caphy.io.poses import read_poses
     from caphy.io.poses.sequence import RATES
     from caphy.solve.body_motion import BodyMotion
     from caphy.solve.integrators import find_integrator
     from caphy.solve.rollout import simulate
 
-    garment, model, body = _garment(command.garment), _model(command), load_body(command.body)
+    garment, model, body = Garment.load(bundled(command.garment)), _model(command), load_body(command.body)
     kept = Kept(folder, command.effect_file)  # of effects that are registered by now
     if not RATES[0] <= command.fps <= RATES[1]:
         raise CaphyError(f"--fps must lie between {RATES[0]:g} and {RATES[1]:g}, got {command.fps:g}")
@@ -149,13 +151,6 @@ def _dressed(potential: Potential, motion: BodyMotion, kept: Kept) -> tuple[Stat
 
 def _show(bar, done: int) -> None:
     bar.update(done - bar.n)
-
-
-def _garment(name: str):
-    from caphy.garment.template import Garment
-
-    bundled = Path(__file__).parents[1] / "data" / "garments" / f"{name}.npz"
-    return Garment.load(bundled if bundled.is_file() else name)
 
 
 def _model(command: Simulate):

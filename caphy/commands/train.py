@@ -12,9 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from caphy.commands.begun import (
-    GARMENT,
-    MODEL,
-    OPTIONS,
     as_long,
     exporting,
     interrupted,
@@ -29,6 +26,7 @@ from caphy.commands.training_options import require_device, require_positive
 from caphy.errors import CaphyError
 from caphy.io.bundled import bundled
 from caphy.io.places import writable_folder
+from caphy.io.training_folder import CHECKPOINT, GARMENT, MODEL, OPTIONS
 
 if TYPE_CHECKING:
     from caphy.effects.model import Model
@@ -161,7 +159,7 @@ def _check(options: Train) -> None:
     if options.scans is None and (options.worn or options.outermost or options.lambda_3d is not None):
         raise CaphyError("--worn, --outermost and --lambda-3d go with --scans")
     require_positive(options, "minutes", "steps", "lambda_3d")
-    if (options.output / "checkpoint.safetensors").exists() and not options.resume:
+    if (options.output / CHECKPOINT).exists() and not options.resume:
         raise CaphyError(f"{options.output} holds a training already: add --resume, or give another folder with -o")
 
 

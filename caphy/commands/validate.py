@@ -16,6 +16,7 @@ import tyro
 from caphy.commands.begun import exporting, own_body
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
+from caphy.io.training_folder import GARMENT, MODEL, NETWORK, RECORD
 
 if TYPE_CHECKING:
     from caphy.io.poses import PoseSequence
@@ -43,7 +44,7 @@ class Validate:
 def main(arguments: list[str]) -> None:
     """Entry point of ``caphy validate``."""
     options = tyro.cli(Validate, args=arguments, prog="caphy validate")
-    settings = _read(options.run / "run.json")
+    settings = _read(options.run / RECORD)
     if not 0.1 < options.seconds < float("inf"):
         raise CaphyError(f"--seconds must be more than 0.1 and finite, got {options.seconds}")
     if options.frames < 1:
@@ -60,7 +61,6 @@ def main(arguments: list[str]) -> None:
     from caphy.effects.potential import Potential
     from caphy.garment.template import Garment
     from caphy.network.files import load_network
-    from caphy.training.loop import NETWORK
     from caphy.training.reference import Comparison, compare_with_solver
     from caphy.training.validate import stream_drift
 
@@ -68,7 +68,7 @@ def main(arguments: list[str]) -> None:
         use_file(file)
     network = load_network(options.run / NETWORK)
     clips = _clips(options, settings, network.fps)
-    garment, model = Garment.load(options.run / "garment.npz"), Model.load(options.run / "model.json")
+    garment, model = Garment.load(options.run / GARMENT), Model.load(options.run / MODEL)
     body = default_body() if (own := own_body(options.run)) is None else BodyModel.load(own)
     betas = np.array(settings["betas"]) if settings.get("betas") else None
     potential = Potential(model, Cloth.of(garment, model.density))

@@ -15,6 +15,7 @@ from caphy.body.model import BodyModel
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.bundle import MANIFEST, read_bundle
+from caphy.io.training_folder import NETWORK
 from caphy.network.files import load_network
 from caphy.network.from_graph import network_of
 from caphy.network.garment_network import GarmentNetwork
@@ -24,7 +25,6 @@ from caphy.training.validate import static_drape
 
 KINDS: Final = ("upper", "lower")
 """Of garments, the innermost last."""
-NETWORK: Final = "network.safetensors"
 SAME_JOINTS: Final = 1e-3
 """Largest distance between the subject's joints and those a network was trained on [m]."""
 SAME_TEMPLATE: Final = 1e-5

@@ -10,11 +10,8 @@ from typing import Any, Final
 from caphy.errors import CaphyError
 from caphy.io.bundle import MANIFEST
 from caphy.io.bundled import path_of
+from caphy.io.training_folder import OPTIONS, RECORD
 
-OPTIONS: Final = "options.json"
-"""What 'caphy train' was told, paths included, beside the record that an avatar carries on."""
-RECORD: Final = "run.json"
-"""The record that an avatar carries on."""
 TEMPLATES: Final = "garments.json"
 """What templates were chosen, and by which scans."""
 CONTENTS: Final = "contents"

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from caphy.errors import CaphyError
-from caphy.evaluate.dressed import KINDS, NETWORK
+from caphy.evaluate.dressed import KINDS
 from caphy.io.bundle import MANIFEST
+from caphy.io.training_folder import NETWORK
 
 TEMPLATE: Final = "skinned template"
 """A row that needs no training."""

@@ -10,10 +10,10 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from caphy.errors import CaphyError
+from caphy.io.training_folder import CHECKPOINT
 from caphy.network.files import read_tensors, write_tensors
 
 FORMAT = "caphy-training-2"
-NAME = "checkpoint.safetensors"
 
 
 def save_checkpoint(
@@ -30,7 +30,7 @@ def save_checkpoint(
     tensors |= {f"streams.{key}": value for key, value in streams.items()}
     tensors["random"] = torch.get_rng_state()
     header = {"format": FORMAT, **progress}
-    write_tensors(folder / NAME, {k: v.detach().cpu().clone() for k, v in tensors.items()}, header)
+    write_tensors(folder / CHECKPOINT, {k: v.detach().cpu().clone() for k, v in tensors.items()}, header)
 
 
 def load_checkpoint(
@@ -41,7 +41,7 @@ def load_checkpoint(
     Raises
         CaphyError: if the file is missing or damaged, or belongs to another garment or network.
     """
-    path = folder / NAME
+    path = folder / CHECKPOINT
     tensors, header = read_tensors(path, FORMAT, "a training checkpoint; without one, train without --resume")
     try:
         for name, module in modules.items():

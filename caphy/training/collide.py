@@ -15,11 +15,12 @@ from torch import Tensor, nn
 
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
+from caphy.io.training_folder import METRICS, NETWORK
 from caphy.kept import digest
 from caphy.network.files import save_network
 from caphy.training.checkpoint import load_checkpoint, save_checkpoint
 from caphy.training.layers import Layers
-from caphy.training.loop import METRICS, NETWORK, Schedule, Trainer, evened, forget_later
+from caphy.training.loop import Schedule, Trainer, evened, forget_later
 from caphy.training.scans import Scans, ScanStreams
 from caphy.training.streams import HELD_WINDOWS, Streams
 from caphy.training.track import Track

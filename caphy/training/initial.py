@@ -14,12 +14,12 @@ import numpy as np
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.bundle import MANIFEST, read_bundle
+from caphy.io.training_folder import MODEL, NETWORK, RECORD
 from caphy.network.files import load_network
 from caphy.network.from_graph import network_of
 from caphy.network.garment_network import GarmentNetwork
 from caphy.training.transfer import carried_over
 
-NETWORK = "network.safetensors"
 SAME_JOINTS = 1e-4
 """Largest distance between the joints of a body and those a network was trained on [m]."""
 ALIKE = 0.08
@@ -64,10 +64,10 @@ def read_initial(folder: Path, garment: Garment) -> Initial:
         raise CaphyError(
             f"{folder}: is neither an avatar ({MANIFEST}) nor a folder that 'caphy train' wrote ({NETWORK})"
         )
-    network, settings = load_network(folder / NETWORK), _json(folder / "run.json")
+    network, settings = load_network(folder / NETWORK), _json(folder / RECORD)
     _require_mesh(folder, {garment.name: network.template.numpy()}, garment)
     record = {"run": folder.resolve().name, "network_sha256": _sha256((folder / NETWORK).read_bytes())}
-    return Initial(folder, network, tuple(settings.get("betas", ())), _json(folder / "model.json"), record)
+    return Initial(folder, network, tuple(settings.get("betas", ())), _json(folder / MODEL), record)
 
 
 def read_likeness(folder: Path, garment: Garment, joints: np.ndarray) -> Initial:

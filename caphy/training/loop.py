@@ -17,9 +17,10 @@ from torch import Tensor
 
 from caphy.errors import CaphyError
 from caphy.io.places import write_text
+from caphy.io.training_folder import CHECKPOINT, METRICS, NETWORK
 from caphy.network.files import save_network
 from caphy.network.garment_network import GarmentNetwork
-from caphy.training.checkpoint import NAME, load_checkpoint, save_checkpoint
+from caphy.training.checkpoint import load_checkpoint, save_checkpoint
 from caphy.training.learner import Learner, stiffness
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective
@@ -28,8 +29,6 @@ from caphy.training.streams import HELD_WINDOWS, Streams
 from caphy.training.track import Track
 from caphy.training.validate import validate
 
-NETWORK = "network.safetensors"
-METRICS = "metrics.jsonl"
 LOG_SECONDS = 10.0
 """Time between lines of metrics."""
 
@@ -180,7 +179,7 @@ class Trainer:
 
     def _require_finite(self, *values: Tensor) -> None:
         if not torch.isfinite(torch.stack([value.sum() for value in values]).sum()):  # asked once: a GPU is waited for
-            kept = (self.folder / NAME).is_file()
+            kept = (self.folder / CHECKPOINT).is_file()
             raise CaphyError(
                 f"step {self.progress.step + 1}: the prediction, its potential or the gradient is not finite; check "
                 "the garment with 'caphy garment info' and the model's parameters, then "

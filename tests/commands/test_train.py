@@ -18,6 +18,7 @@ from caphy.effects.scaffold import write_scaffold
 from caphy.errors import CaphyError
 from caphy.garment.template import Garment, write_npz
 from caphy.io.poses import write_poses
+from caphy.io.training_folder import OPTIONS
 from caphy.network.files import load_network
 from caphy.register.subject import body_arrays
 
@@ -145,7 +146,7 @@ def test_another_training_is_not_gone_on_with(inputs, capsys):
 
 
 def test_what_lies_in_the_run_is_remembered_so_that_it_may_be_moved(tmp_path):
-    from caphy.commands.begun import OPTIONS, copied, option
+    from caphy.commands.begun import copied, option
     from caphy.commands.begun import told as remembered
     from caphy.commands.train import Train
 

@@ -12,9 +12,10 @@ from small_scans import posed
 from small_world import swaying, tube
 
 from caphy.body.bundled import default_body
-from caphy.evaluate.dressed import KINDS, NETWORK
-from caphy.evaluate.learnt_from import CONTENTS, OPTIONS
+from caphy.evaluate.dressed import KINDS
+from caphy.evaluate.learnt_from import CONTENTS
 from caphy.garment.template import Garment, write_npz
+from caphy.io.training_folder import NETWORK, OPTIONS
 from caphy.kept import digest
 from caphy.network.files import save_network
 from caphy.network.garment_network import GarmentNetwork

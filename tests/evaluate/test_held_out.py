@@ -13,9 +13,10 @@ from small_run import SPLIT, garments, small_run, write_networks
 from caphy.errors import CaphyError
 from caphy.evaluate.dressed import Subject
 from caphy.evaluate.evaluation import evaluate
-from caphy.evaluate.learnt_from import INIT_SCANS, OPTIONS, SCANS_DIGEST, learnt_from, require_same_scans
+from caphy.evaluate.learnt_from import INIT_SCANS, SCANS_DIGEST, learnt_from, require_same_scans
 from caphy.evaluate.rows import TEMPLATE, Row, given_row
 from caphy.io.bundle import MANIFEST
+from caphy.io.training_folder import OPTIONS
 from caphy.scan.mesh_files import MeshFile, write_ply
 from caphy.scan.scan import BODY, LOWER
 from caphy.scan.scan_set import ScanSet

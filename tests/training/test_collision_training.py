@@ -25,12 +25,13 @@ from caphy.errors import CaphyError
 from caphy.garment.template import Garment
 from caphy.io.bundle import read_bundle
 from caphy.io.poses import write_poses
+from caphy.io.training_folder import NETWORK
 from caphy.network.files import load_network
 from caphy.network.garment_network import GarmentNetwork
 from caphy.register.points import ScanPoints
 from caphy.training.collide import DEEP, Collider
 from caphy.training.layers import Layers
-from caphy.training.loop import NETWORK, Schedule, Trainer
+from caphy.training.loop import Schedule, Trainer
 from caphy.training.motions import Motions
 from caphy.training.objective import Objective
 from caphy.training.scans import Scans

@@ -15,8 +15,9 @@ from small_world import small_trainer, swaying, tube
 
 from caphy.cli import main
 from caphy.io.poses import write_poses
+from caphy.io.training_folder import NETWORK
 from caphy.network.files import load_network
-from caphy.training.loop import NETWORK, Trainer
+from caphy.training.loop import Trainer
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 

@@ -18,9 +18,9 @@ from small_world import small_trainer
 
 from caphy.commands.begun import interrupted
 from caphy.errors import CaphyError
+from caphy.io.training_folder import CHECKPOINT, METRICS, NETWORK
 from caphy.network.files import load_network, save_network
-from caphy.training.checkpoint import NAME
-from caphy.training.loop import METRICS, NETWORK, read_metrics
+from caphy.training.loop import read_metrics
 
 HERE = Path(__file__).parent
 
@@ -47,7 +47,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path):
     uninterrupted = start(whole, "new", 1e9)
     killed = start(broken, "new", 0)
     deadline = time.monotonic() + 120
-    while not (broken / NAME).exists() and time.monotonic() < deadline:
+    while not (broken / CHECKPOINT).exists() and time.monotonic() < deadline:
         time.sleep(0.01)
     time.sleep(0.1)
     os.kill(killed.pid, signal.SIGKILL)
@@ -85,7 +85,7 @@ def test_damaged_checkpoints_are_refused(make_trainer, damage):
     trainer = make_trainer()
     trainer.step()
     trainer.save()
-    path = trainer.folder / NAME
+    path = trainer.folder / CHECKPOINT
     content = bytearray(path.read_bytes())
     if damage == "cut":
         path.write_bytes(content[: len(content) // 2])
@@ -115,11 +115,11 @@ def test_stops_at_a_potential_that_is_not_finite(make_trainer):
     trainer = make_trainer()
     trainer.step()
     trainer.save()
-    before = (trainer.folder / NAME).read_bytes()
+    before = (trainer.folder / CHECKPOINT).read_bytes()
     trainer.learner.head.bias.data[5] = float("inf")
     with pytest.raises(CaphyError, match="go on with --resume"):
         trainer.run()
-    assert (trainer.folder / NAME).read_bytes() == before
+    assert (trainer.folder / CHECKPOINT).read_bytes() == before
 
 
 def test_metrics_after_the_checkpoint_are_forgotten(make_trainer):

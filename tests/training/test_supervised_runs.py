@@ -24,10 +24,10 @@ from caphy.effects.model import Model
 from caphy.effects.presets import snug_model
 from caphy.errors import CaphyError
 from caphy.io.poses import write_poses
+from caphy.io.training_folder import METRICS, NETWORK
 from caphy.kept import digest
 from caphy.network.files import load_network
 from caphy.register.points import read_points
-from caphy.training.loop import METRICS, NETWORK
 from caphy.training.validate import static_drape
 
 STEPS = 40
