@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from caphy.fabric.stills import Worn
 
 RESULT, PAGE = "fabric.json", "fabric.html"
-TRAINED, ALTERNATED = "train", "fabric"
+TRAINED, ALTERNATED, AGAIN = "train", "fabric", "again"
 KINDS: Final = ("upper", "lower")
 POINTS = 8000
 """Points of a scan that are used at most, drawn at random."""
@@ -110,10 +111,23 @@ def _fitted(options: FabricCommand, kept: Kept) -> int:
     _write_page(options.run / PAGE, plots, sentences)
     print(f"written: {options.run / RESULT}, {options.run / PAGE}")
     for kind in () if options.alternations else fitted:  # which are trained under it by turns
-        model, out = _model_file(options.run, kind), options.run / ALTERNATED / kind
-        train = following("train", f"{options.run / kind}.npz", "--scans", options.run, "--model", model, "-o", out)
-        print(f"next: {train}")
+        print(f"next: {_training(options.run, kind)}")
     return 1 if failed else 0
+
+
+def _training(run: Path, kind: str) -> str:
+    """What trains a garment on under its fabric, from where the run's training came to and on its motions."""
+    from caphy.commands.begun import option
+
+    before, out = run / TRAINED / kind, run / ALTERNATED / kind
+    words: list[object] = ["--scans", run, "--model", _model_file(run, kind)]
+    poses: Sequence[Path] = ()
+    if (before / NETWORK).is_file() and (before / OPTIONS).is_file():
+        words += ["--init", before]
+        poses = option("Path", json.loads((before / OPTIONS).read_text()).get("poses", ()), before.resolve())
+    if (out / OPTIONS).is_file():  # a training is there already
+        out = run / AGAIN / kind
+    return following("train", f"{run / kind}.npz", *poses, *words, "-o", out)
 
 
 def _failed_before(run: Path) -> dict[str, str]:

@@ -88,8 +88,14 @@ def _cautions(run: Path, evaluation: Mapping[str, Any], reasons: Mapping[str, st
     for name, what in UNDONE.items():
         failure = read(run / "stages", f"{name}.json").get("failure")
         if failure:
-            lines.append(f"{what} {failure.splitlines()[0]} (stages/{name}.log)")
+            lines.append(f"{what} {_first(failure)} (stages/{name}.log)")
     return lines
+
+
+def _first(failure: str) -> str:
+    """The first line of what failed, and after a colon the one that it announces."""
+    first, *rest = failure.splitlines()
+    return f"{first} {rest[0].strip()}" if first.endswith(":") and rest else first
 
 
 def _no_gain(evaluation: Mapping[str, Any]) -> list[str]:

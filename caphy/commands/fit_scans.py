@@ -48,7 +48,15 @@ def check_scans(folder: Path, run: Path, parser: str | None) -> None:
         for scan, why in reasons.items():
             print(f"{what}: {scans.files[scans.names.index(scan)].name}: {why}", flush=True)
     kept = usable(scans, findings)
-    parser = parser or ("colour" if any(scans.names[i] in bare for i in kept) else "labels")
+    without = [scans.names[i] for i in kept if scans.names[i] in bare]
+    if parser is None and 0 < len(without) < len(kept):
+        why = (
+            f"has no labels, so those of the {len(kept) - len(without)} others are not used; add its own, or give "
+            "--parser labels to do without this scan"
+        )
+        print(f"note: {without[0]}: {why}", flush=True)
+        notes.setdefault(without[0], why)
+    parser = parser or ("colour" if without else "labels")
     _write_kept(scans, kept, run / SCANS, parser == "labels")
     document = {
         "source": scans.name,
@@ -143,7 +151,9 @@ def _write_kept(scans: ScanSet, kept: Sequence[int], folder: Path, with_labels: 
     poses = scans.poses
     if poses is not None:
         index = list(kept)
-        poses = replace(poses, poses=poses.poses[index], transl=poses.transl[index], unseen=None)
+        poses = replace(
+            poses, poses=poses.poses[index], transl=poses.transl[index], unseen=None, source="poses of the scans"
+        )
     write_scan_set(folder, chosen, SCANS, poses)  # whatever it was called, later stages follow from the same
 
 

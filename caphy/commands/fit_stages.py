@@ -19,6 +19,7 @@ from caphy.pipeline.processes import run_shared
 from caphy.pipeline.stage import Stage
 
 AVATAR, FABRIC, PAGE = "avatar", "fabric.json", "report.html"
+FABRIC_PAGE = "fabric.html"
 FIRST = 0.6
 """Share of the training that comes before the fabric is fitted."""
 SUBJECT = ("body.npz", "upper.npz", "lower.npz", "subject_body.npz", "points", "split.json", LABELLED)
@@ -106,8 +107,8 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
         ),
         Stage(
             "train", "training on physics and scans", lambda: _train(plan),
-            inputs=(*subject, *plan.poses), outputs=(run / "train",), options=training | {"budget": plan.shared(FIRST)},
-            seconds=FIRST * seconds, timed=timed,
+            inputs=(*subject, *plan.poses), outputs=(run / "train",), whole=lambda: _has_networks(run, "train"),
+            options=training | {"budget": plan.shared(FIRST)}, seconds=FIRST * seconds, timed=timed,
         ),
         Stage(
             "fabric", "fitting the fabric to the scans", lambda: _fabric(plan),
@@ -118,6 +119,7 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
         Stage(
             "refine", "training on, under the fabric found if there is one", lambda: _refine(plan),
             inputs=(*subject, *plan.poses, *trained, *fabrics), outputs=(run / "fabric",),
+            whole=lambda: _has_networks(run, "fabric"),
             options=training | {"budget": plan.shared(1 - FIRST)}, seconds=(1 - FIRST) * seconds, timed=timed,
         ),
         Stage(
@@ -147,6 +149,7 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
     report = Stage(
         "report", "writing the page", lambda: _report(plan),
         inputs=(*labelled, *subject, *shown, *records), outputs=(run / PAGE,), seconds=3, may_fail=True,
+        of_all=True,
     )  # fmt: skip
     return [*made, report]
 
@@ -246,6 +249,11 @@ def _train_one(plan: Plan, kind: str, folder: Path, share: float, physics: Seque
     _command("train", *where, *physics, *options, *resume, processes=plan.processes)
 
 
+def _has_networks(run: Path, stage: str) -> bool:
+    """Whether a stage's networks of all garments are there."""
+    return all((run / stage / kind / NETWORK).is_file() for kind in kinds(run))
+
+
 def _has_models(run: Path) -> bool:
     """Whether fabrics were fitted, and the models of all are there."""
     told = read(run, FABRIC)
@@ -260,7 +268,12 @@ def _fabric(plan: Plan) -> None:
     if (plan.run / FABRIC).is_file() and _has_models(plan.run):  # else it would have been removed
         print(f"{plan.run / FABRIC} is there already, and of the same input; it is kept")
         return
-    for name in (FABRIC, "fabric_upper.json", "fabric_lower.json"):  # what an earlier fit could fit, this one may not
+    for name in (
+        FABRIC,
+        "fabric_upper.json",
+        "fabric_lower.json",
+        FABRIC_PAGE,
+    ):  # what an earlier fit could fit, this one may not
         (plan.run / name).unlink(missing_ok=True)
     try:
         budget = ["--rounds", str(plan.fabric_rounds), "--scans", str(plan.fabric_scans)]
@@ -327,6 +340,8 @@ def _export(plan: Plan) -> None:
 
 
 def _evaluate(plan: Plan) -> None:
+    for earlier in (plan.run / "evaluation.txt", *(plan.run / "evaluation").glob("*.png")):  # of other scans, perhaps
+        earlier.unlink(missing_ok=True)
     vgg: list[str | Path] = [] if plan.vgg is None else ["--vgg", plan.vgg]
     _command("evaluate", *_labelled(plan), *vgg)
 

@@ -22,8 +22,8 @@ MADE = "made.json"
 class MadeLabels:
     """Labels ``NAME.npy`` in a folder, those that 'caphy segment' made of something, and those of somebody else."""
 
-    def __init__(self, folder: Path, parser: str, layout: str) -> None:
-        """``parser`` and ``layout`` as 'caphy segment' takes them.
+    def __init__(self, folder: Path, parser: str, layout: str, learnt: np.ndarray | None = None) -> None:
+        """``parser`` and ``layout`` as 'caphy segment' takes them; ``learnt`` is what the parser learnt of the set.
 
         Raises:
             CaphyError: they are files that cannot be read.
@@ -31,6 +31,8 @@ class MadeLabels:
         self.folder, self._made = folder, _read(folder / MADE)
         self._with_labels = parser == "labels"
         self._by: dict[str, Any] = {"parser": parser, "layout": None}
+        if learnt is not None:
+            self._by["learnt"] = digest(learnt)
         if parser not in ("labels", "colour"):
             from caphy.scan.label_layouts import find_layout
 

@@ -15,7 +15,7 @@ from caphy.commands.following import following
 from caphy.commands.made_labels import MadeLabels
 from caphy.commands.output import OUTPUT
 from caphy.errors import CaphyError
-from caphy.io.places import writable_file
+from caphy.io.places import writable_file, writable_folder
 
 if TYPE_CHECKING:
     from caphy.scan.scan import Scan
@@ -67,8 +67,10 @@ def label(command: Segment) -> dict[str, str]:
     out = command.output or command.scans / "labels"
     by_itself = out.resolve() == (scans.labels or command.scans / "labels").resolve()
     _require_apart(command, scans, out, by_itself)
-    method = _method(command, scans)
-    failed = _segment_all(scans, MadeLabels(out, command.parser, command.layout), method, command.parser == "labels")
+    writable_folder(out)
+    method, learnt = _method(command, scans)
+    made = MadeLabels(out, command.parser, command.layout, learnt)
+    failed = _segment_all(scans, made, method, command.parser == "labels")
     done = len(scans) - len(failed)
     print(f"{out}: labels of {done} of {len(scans)} scans")
     if command.render is not None and done:
@@ -133,23 +135,23 @@ def _segment_all(
     return failed
 
 
-def _method(command: Segment, scans: ScanSet) -> Callable[[Scan], np.ndarray]:
-    """What labels a scan's vertices (V,)."""
+def _method(command: Segment, scans: ScanSet) -> tuple[Callable[[Scan], np.ndarray], np.ndarray | None]:
+    """What labels a scan's vertices (V,), and what it learnt of the set for that, if anything."""
     from caphy.scan.segmentation import given_labels, segment, smoothed_labels
 
     if command.parser == "labels":
-        return given_labels
+        return given_labels, None
     if command.parser == "colour":
         from caphy.scan.colour_model import ColourModel
 
         print("learning the subject's colours ...", flush=True)
         model = ColourModel.fit(_some(scans.without_labels()))
-        return lambda scan: smoothed_labels(scan, model.votes(scan))
+        return lambda scan: smoothed_labels(scan, model.votes(scan)), model.likelihood
     from caphy.scan.label_layouts import find_layout
     from caphy.scan.parsers import OnnxParser
 
     parser = OnnxParser(Path(command.parser), find_layout(command.layout))
-    return lambda scan: segment(scan, parser)
+    return lambda scan: segment(scan, parser), None
 
 
 def _some(scans: ScanSet) -> list[Scan]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from caphy.errors import CaphyError
@@ -30,6 +30,8 @@ class Entry:
     code: str = ""
     """Digest of the code of caphy that finished it, and of the data that come with it."""
     scheme: int = 1
+    parts: Mapping[str, str] = field(default_factory=dict)
+    """What the key is of, by names for people; nothing where an earlier caphy began it."""
 
 
 class Ledger:
@@ -76,6 +78,15 @@ class Ledger:
             return False
         return entry.key == stage.key()
 
+    def changed(self, stage: Stage) -> list[str] | None:
+        """Names of what a finished stage depends on that is no longer as it was, where it is known; None unless its
+        outputs are of something else than now."""
+        entry = self.entry(stage)
+        if entry is None or not entry.finished or entry.key == stage.key():
+            return None
+        now, before = stage.parts(), entry.parts
+        return [name for name in {**now, **before} if now.get(name) != before.get(name)] if before else []
+
     def begin(self, stage: Stage) -> None:
         """Note the start; outputs of other inputs are removed, those of the same are there to go on from.
 
@@ -95,6 +106,12 @@ class Ledger:
             for path in stage.outputs:
                 _remove(path)
         self.write(stage, Entry(key, finished=False))
+
+    def forget(self, stage: Stage) -> None:
+        """Remove what a stage wrote, if it did."""
+        if self.entry(stage) is not None:
+            for path in stage.outputs:
+                _remove(path)
 
 
 def _remove(path: Path) -> None:

@@ -66,6 +66,11 @@ def run_stages(stages: Sequence[Stage], run: Path, say: Callable[[str], None] = 
             continue
         left = _left(stages[number:], ledger)
         say(f"{head}; about {_minutes(pace.left([stage]))}, {_minutes(pace.left(left))} for all that is left")
+        if (changed := ledger.changed(stage)) is not None:
+            say(f"  made anew, and what it made before removed, for {_these(changed)} not as before")
+        for telling in stages:
+            if telling.of_all and telling is not stage:
+                ledger.forget(telling)
         ledger.begin(stage)
         _run(stage, ledger, outcome, say)
         if stage.name in outcome.seconds:
@@ -75,7 +80,7 @@ def run_stages(stages: Sequence[Stage], run: Path, say: Callable[[str], None] = 
 
 def _run(stage: Stage, ledger: Ledger, outcome: Outcome, say: Callable[[str], None]) -> None:
     started = monotonic()
-    key = stage.key()
+    key, parts = stage.key(), stage.parts()
     try:
         with logged(ledger.log(stage)):
             stage.run()
@@ -97,9 +102,17 @@ def _run(stage: Stage, ledger: Ledger, outcome: Outcome, say: Callable[[str], No
         say(f"{stage.name}: failed, going on without it: {error}")
         return
     seconds = monotonic() - started
-    ledger.write(stage, Entry(key, True, seconds, code=own_code()))
+    ledger.write(stage, Entry(key, True, seconds, code=own_code(), parts=parts))
     outcome.done.append(stage.name)
     outcome.seconds[stage.name] = seconds
+
+
+def _these(changed: Sequence[str]) -> str:
+    """What is not as before, with its verb; three by name."""
+    if not changed:
+        return "what it depends on is"
+    more = [] if len(changed) <= 3 else [f"{len(changed) - 3} more"]
+    return f"{', '.join([*changed[:3], *more])} {'is' if len(changed) == 1 else 'are'}"
 
 
 def _seconds(ledger: Ledger, stage: Stage) -> float:

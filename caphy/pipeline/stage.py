@@ -14,6 +14,8 @@ import caphy
 
 UNFINISHED: Final = (".partial", ".tmp")
 """Ends of names of files that are being written."""
+STRAY: Final = ("Thumbs.db", "desktop.ini")
+"""What file managers leave where somebody looked, beside names that begin with a dot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,13 @@ class Stage:
     """Whether the run goes on without it."""
     whole: Callable[[], bool] = lambda: True
     """Whether what it wrote beyond ``outputs``, which depends on the inputs, is all there."""
+    of_all: bool = False
+    """Whether its outputs tell of all the others: they are removed when another begins, and made anew after it."""
+
+    def parts(self) -> dict[str, str]:
+        """What :meth:`key` is of, by names for people."""
+        options = {f"the option {name}": json.dumps(value) for name, value in self.options.items()}
+        return {str(path): fingerprint(path) for path in self.inputs} | options
 
     def key(self) -> str:
         """A fingerprint of inputs, options and caphy's version."""
@@ -61,13 +70,18 @@ def fingerprint(path: Path) -> str:
     if path.is_dir():
         digest = hashlib.sha256()
         for file in sorted(_files(path, ())):
-            if not file.name.endswith(UNFINISHED):
+            if not file.name.endswith(UNFINISHED) and not is_stray(file):
                 digest.update(f"{file.relative_to(path).as_posix()} {fingerprint(file)}\n".encode())
         return digest.hexdigest()
     if not path.is_file():
         return "missing"
     stat = path.stat()
     return _content(str(path), stat.st_size, stat.st_mtime_ns, stat.st_ino)
+
+
+def is_stray(file: Path) -> bool:
+    """Whether nobody reads a file of such a name: hidden ones, and those of file managers."""
+    return file.name.startswith(".") or file.name in STRAY
 
 
 def _files(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:

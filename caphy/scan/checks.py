@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -73,7 +74,23 @@ def check_set(
                 look(scan)
         if say is not None:
             say(index + 1, len(scans))
-    return findings + _up_axis(scans, traits) + _strangers(traits)
+    return findings + _order(scans) + _up_axis(scans, traits) + _strangers(traits)
+
+
+def _order(scans: ScanSet) -> list[Finding]:
+    """A remark where poses go to scans in another order than that of the numbers in their names."""
+    counted = sorted(scans.names, key=_counted)
+    first = next((a for a, b in zip(scans.names, counted, strict=True) if a != b), None)
+    if scans.poses is None or first is None:
+        return []
+    order = ", ".join(scans.names[:3])
+    message = f"poses are taken for scans in the order {order} ...; write numbers in names with as many digits"
+    return [Finding(first, message, False)]
+
+
+def _counted(name: str) -> list[int | str]:
+    """Text and numbers of a name by turns, as people sort them."""
+    return [int(part) if place % 2 else part for place, part in enumerate(re.split("([0-9]+)", name))]
 
 
 def usable(scans: ScanSet, findings: Sequence[Finding]) -> list[int]:

@@ -49,10 +49,14 @@ _STANDING_TOP: Final = ((0.56, 0.04, 0.36, 0.60), (0.80, 0.15, 0.80, 0.05), (0.8
 
 
 class ColourModel:
-    """Labels of vertices from their colours and places; made for one subject by :meth:`fit`."""
+    """Labels of vertices from their colours and places; made for one subject by :meth:`fit`.
+
+    Attributes:
+        likelihood: how likely each colour is on what is told apart, which is all that was learnt.
+    """
 
     def __init__(self, likelihood: np.ndarray) -> None:
-        self._likelihood = likelihood
+        self.likelihood = likelihood
 
     @classmethod
     def fit(cls, scans: Sequence[Scan]) -> ColourModel:
@@ -78,7 +82,7 @@ class ColourModel:
 
     def votes(self, scan: Scan) -> np.ndarray:
         """How likely each label is at each vertex (V, 3); rows sum to one."""
-        return _posterior(place_prior(scan), self._likelihood[_bins(scan)])
+        return _posterior(place_prior(scan), self.likelihood[_bins(scan)])
 
 
 def place_prior(scan: Scan) -> np.ndarray:

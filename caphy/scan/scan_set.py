@@ -226,7 +226,8 @@ def _description(folder: Path) -> dict[str, Any]:
 def _files(folder: Path, pattern: str | None) -> tuple[Path, ...]:
     try:
         found = folder.glob(pattern) if pattern else (p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
-        files = tuple(sorted((p for p in found if p.is_file()), key=lambda p: p.stem))  # as poses are, whatever folders
+        seen = (p for p in found if p.is_file() and not p.name.startswith("."))  # as a Mac leaves beside each file
+        files = tuple(sorted(seen, key=lambda p: p.stem))  # as poses are, whatever folders
     except (ValueError, NotImplementedError) as error:
         raise CaphyError(f"{folder / DESCRIPTION}: scans must be a pattern such as '*.ply': {error}") from error
     if not files:

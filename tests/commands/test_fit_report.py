@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import papertable
-from caphy.commands.fit_report import _no_gain
+from caphy.commands.fit_report import _first, _no_gain
 from caphy.commands.fit_stages import Plan, stages
 from caphy.errors import CaphyError
 from caphy.pipeline.runner import run_stages
@@ -32,6 +32,13 @@ def test_a_garment_that_got_worse_is_told_though_all_together_got_better():
 def test_nothing_is_told_of_what_got_better():
     template, avatar = _row("skinned template", 23.24, 9.0, 29.88, 0.341), _row("avatar", 18.82, 8.42, 20.22, 0.3)
     assert _no_gain({"rows": [template, avatar]}) == [] == _no_gain({"rows": [template]}) == _no_gain({})
+
+
+def test_a_failure_is_told_with_what_it_announces():
+    assert _first("nothing could be evaluated:\n  FLIP needs its authors' package\nmore") == (
+        "nothing could be evaluated: FLIP needs its authors' package"
+    )
+    assert _first("no network: at all") == "no network: at all" and _first("left alone:") == "left alone:"
 
 
 def _plan(folder: Path) -> Plan:

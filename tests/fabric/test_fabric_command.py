@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks._panel import Stills, frame, panel, turns
 from caphy.cli import main
+from caphy.commands.fabric import _training
 from caphy.effects.model import Model
 from caphy.effects.presets import fabric_model, snug_model
 from caphy.errors import CaphyError
@@ -60,6 +61,18 @@ def test_it_writes_a_model_to_train_with_a_record_and_a_page(run, capsys):
         assert row["interval"] is None or row["interval"][0] < row["over_the_start"] < row["interval"][1]
     page = (run / "fabric.html").read_text()
     assert page.count("<svg") == 4 and "NaN" not in page and "nan" not in page
+
+
+def test_what_comes_next_goes_on_from_the_run_s_training_on_its_motions(tmp_path):
+    """Its folder is taken once ``caphy fit`` has been there."""
+    assert _training(tmp_path, "upper").endswith(f"-o {tmp_path / 'fabric' / 'upper'}")
+    for folder in ("train", "fabric"):
+        (tmp_path / folder / "upper").mkdir(parents=True)
+        (tmp_path / folder / "upper" / "options.json").write_text(json.dumps({"poses": ["../../motions"]}))
+        (tmp_path / folder / "upper" / "network.safetensors").touch()
+    told = _training(tmp_path, "upper")
+    assert told.startswith(f"caphy train {tmp_path / 'upper.npz'} {tmp_path / 'motions'} --scans {tmp_path}")
+    assert told.endswith(f"--init {tmp_path / 'train' / 'upper'} -o {tmp_path / 'again' / 'upper'}")
 
 
 def test_one_garment_at_a_time_is_told_as_both(run, tmp_path, monkeypatch, capsys):

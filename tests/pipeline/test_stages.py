@@ -106,8 +106,9 @@ def test_what_was_done_on_other_bundled_data_is_kept_and_said(work, tmp_path, mo
 def test_changed_input_is_done_anew_without_what_was_left(work):
     work.run()
     work.source.write_text("xy")
-    outcome, _ = work.run()
+    outcome, said = work.run()
     assert outcome.done == ["letters", "count"]
+    assert f"  made anew, and what it made before removed, for {work.source} is not as before" in said
     assert sorted(path.read_text() for path in (work.folder / "letters").iterdir()) == ["x", "y"]
     assert (work.folder / "count.txt").read_text() == "2"
 
@@ -124,7 +125,9 @@ def test_only_what_depends_on_a_change_is_done_anew(work):
     (work.folder / "letters" / "0.txt").write_text("z")  # by hand: the stage that wrote it is content
     assert work.run()[0].done == ["count"]
     work.big = True
-    assert work.run()[0].done == ["letters", "count"]
+    outcome, said = work.run()
+    assert outcome.done == ["letters", "count"]
+    assert "  made anew, and what it made before removed, for the option big is not as before" in said
     assert (work.folder / "letters" / "0.txt").read_text() == "A"
 
 
@@ -217,8 +220,9 @@ def test_fingerprints_tell_contents_and_names_not_what_is_being_written(tmp_path
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "one.npz").write_bytes(b"1")
     before = fingerprint(tmp_path / "a")
-    (tmp_path / "a" / "two.npz.partial").write_bytes(b"half")
-    assert fingerprint(tmp_path / "a") == before
+    for stray in ("two.npz.partial", ".DS_Store", "._one.npz", "Thumbs.db"):  # where somebody has looked
+        (tmp_path / "a" / stray).write_bytes(b"half")
+        assert fingerprint(tmp_path / "a") == before
     (tmp_path / "a" / "one.npz").rename(tmp_path / "a" / "other.npz")
     assert fingerprint(tmp_path / "a") != before
     assert fingerprint(tmp_path / "none") == "missing"
@@ -330,3 +334,22 @@ def test_what_follows_from_a_changed_input_is_in_the_estimate(work):
     said = []
     run_stages(told, work.folder, said.append)
     assert "about 60 s, 101 min for all that is left" in said[0]
+
+
+def test_what_tells_of_all_is_gone_while_another_is_not_done(work):
+    """A page of an earlier run would be taken for this one's."""
+    page = work.folder / "page.html"
+    made = work.stages
+    work.stages = lambda: [
+        *made(),
+        Stage("page", "telling", lambda: page.write_text(work.source.read_text()), (), (page,), of_all=True),
+    ]
+    work.run()
+    assert page.read_text() == "abc" and work.run()[0].done == []
+    work.source.write_text("xyz")
+    work.stop_after = 1
+    with pytest.raises(KeyboardInterrupt):
+        work.run()
+    assert not page.exists()
+    work.stop_after = None
+    assert work.run()[0].done == ["letters", "count", "page"] and page.read_text() == "xyz"

@@ -16,6 +16,7 @@ from caphy.capture.poses import a_pose
 from caphy.cli import main
 from caphy.commands.fit_scans import check_scans
 from caphy.errors import CaphyError
+from caphy.io.poses import PoseSequence
 from caphy.scan.checks import check_scan, check_set, usable
 from caphy.scan.mesh_files import MeshFile, read_mesh_file, write_ply
 from caphy.scan.scan import LOWER, UNKNOWN, UPPER, Scan
@@ -145,6 +146,26 @@ def test_the_check_of_a_fit_reads_each_scan_twice(bare, tmp_path, monkeypatch):
     assert json.loads((tmp_path / "run" / "check.json").read_text())["parser"] == ("colour" if bare else "labels")
     for scan, written in zip(scans, ScanSet.read(tmp_path / "run" / "scans"), strict=True):
         assert written.labels is None if bare else (written.labels == scan.labels).all()
+
+
+def test_a_scan_without_labels_among_others_that_have_them_is_told(tmp_path, capsys):
+    """Labels by hand would not be used, and nobody knew."""
+    scans = [_scan(name=f"s{i}", labels=None if i == 1 else _scan().labels) for i in range(3)]
+    check_scans(_set(tmp_path / "set", scans).folder, tmp_path / "run", None)
+    assert "note: s1: has no labels, so those of the 2 others are not used" in capsys.readouterr().out
+    assert "--parser labels" in json.loads((tmp_path / "run" / "check.json").read_text())["notes"]["s1"]
+    check_scans(tmp_path / "set", tmp_path / "other", "colour")
+    assert "note" not in capsys.readouterr().out
+
+
+def test_poses_for_scans_whose_numbers_are_of_unlike_length_are_remarked_on(tmp_path):
+    poses = PoseSequence(np.zeros((3, 55, 3)), np.zeros((3, 3)), fps=1.0)
+    scans = [_scan(name=f"scan_{i}") for i in (9, 10, 11)]
+    (finding,) = [f for f in check_set(write_scan_set(tmp_path / "set", scans, "set", poses)) if "order" in f.message]
+    assert not finding.severe and "the order scan_10, scan_11, scan_9 ...; write numbers" in finding.message
+    padded = [_scan(name=f"scan_{i:02}") for i in (9, 10, 11)]
+    findings = check_set(write_scan_set(tmp_path / "padded", padded, "set", poses))
+    assert not [f for f in findings if "order" in f.message]
 
 
 def test_labels_that_are_not_asked_for_refuse_no_scan(tmp_path, capsys):

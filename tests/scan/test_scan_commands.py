@@ -37,10 +37,21 @@ def test_segment_leaves_out_what_it_cannot_read_and_resumes(scans, tmp_path, cap
     labels = ScanSet.read(scans)[0].labels
     assert (labels == truth).mean() > 0.85  # without poses: from height and colour alone
     stamp = (scans / "labels" / "scan_000.npy").stat().st_mtime_ns
+    (scans / "labels" / "scan_002.npy").unlink()
+    assert main(["segment", str(scans)]) == 1
+    assert "labels of 2 of 3 scans" in capsys.readouterr().out
+    assert (scans / "labels" / "scan_000.npy").stat().st_mtime_ns == stamp
     shutil.copy(small_session() / "scans" / "scan_001.ply", scans)
     assert main(["segment", str(scans)]) == 0
     assert "labels of 3 of 3 scans" in capsys.readouterr().out
-    assert (scans / "labels" / "scan_000.npy").stat().st_mtime_ns == stamp
+    assert (scans / "labels" / "scan_000.npy").stat().st_mtime_ns != stamp  # colours are learnt of all three now
+
+
+def test_a_folder_that_cannot_be_written_into_is_told_before_any_scan(scans, capsys):
+    (scans / "labels").write_text("of somebody")
+    assert main(["segment", str(scans)]) == 2
+    told = capsys.readouterr()
+    assert "labels: cannot be written" in told.err and "left out" not in told.out and "learning" not in told.out
 
 
 def test_a_grey_scan_costs_only_itself(scans, capsys):

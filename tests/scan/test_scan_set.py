@@ -276,6 +276,15 @@ def test_the_order_of_scans_is_the_same_whatever_kind_of_file_they_are(tmp_path)
     assert given.names == again.names == ("s", "s.p")
 
 
+def test_what_a_mac_leaves_beside_each_file_is_no_scan(tmp_path):
+    _describe(tmp_path)
+    BOX.export(tmp_path / "one.ply")
+    (tmp_path / "._one.ply").write_bytes(b"\0\5\x16\7")
+    assert ScanSet.read(tmp_path).names == ("one",)
+    _describe(tmp_path, 'unit = "m"\nup_axis = "y"\nscans = "*.ply"\n')
+    assert ScanSet.read(tmp_path).names == ("one",)
+
+
 def test_poses_go_by_the_scans_names_whatever_folders_they_lie_in(tmp_path):
     _describe(tmp_path, 'unit = "m"\nup_axis = "y"\nscans = "*/*.ply"\nposes = "poses.npz"\n')
     for place in ("day1/z", "day2/a"):
