@@ -19,7 +19,7 @@ from caphy.pipeline.processes import run_shared
 from caphy.pipeline.stage import Stage
 
 AVATAR, FABRIC, PAGE = "avatar", "fabric.json", "report.html"
-FABRIC_PAGE = "fabric.html"
+FABRICS, FABRIC_PAGE = (FABRIC, "fabric_upper.json", "fabric_lower.json"), "fabric.html"
 FIRST = 0.6
 """Share of the training that comes before the fabric is fitted."""
 SUBJECT = ("body.npz", "upper.npz", "lower.npz", "subject_body.npz", "points", "split.json", LABELLED)
@@ -70,7 +70,7 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
     subject = tuple(run / name for name in SUBJECT)
     seconds, timed = (60 * plan.minutes, True) if plan.steps is None else (0.3 * plan.steps, False)
     training = {"fabric": plan.fabric, "seed": plan.seed, "device": plan.device}
-    fabrics = tuple(run / name for name in (FABRIC, "fabric_upper.json", "fabric_lower.json"))
+    fabrics = tuple(run / name for name in FABRICS)
     trained, refined, collided = (networks(run, stage) for stage in STAGES)
     body, parser = _files(plan.body), _files(plan.parser)
     validations = tuple(run / stage / kind / VALIDATION for stage in STAGES for kind in KINDS)
@@ -268,12 +268,7 @@ def _fabric(plan: Plan) -> None:
     if (plan.run / FABRIC).is_file() and _has_models(plan.run):  # else it would have been removed
         print(f"{plan.run / FABRIC} is there already, and of the same input; it is kept")
         return
-    for name in (
-        FABRIC,
-        "fabric_upper.json",
-        "fabric_lower.json",
-        FABRIC_PAGE,
-    ):  # what an earlier fit could fit, this one may not
+    for name in (*FABRICS, FABRIC_PAGE):  # what an earlier fit could fit, this one may not
         (plan.run / name).unlink(missing_ok=True)
     try:
         budget = ["--rounds", str(plan.fabric_rounds), "--scans", str(plan.fabric_scans)]

@@ -132,6 +132,8 @@ def main(arguments: list[str]) -> int | None:
 def _run(options: Train) -> int:
     trainer = prepare(options)
     if trainer.done:
+        if not trainer.written:  # removed by hand; the checkpoint has it
+            trainer.save()
         if trainer.rank == 0:
             print(f"{options.output} has had {trainer.progress.step} steps already; for more give --steps or --minutes")
         return 0

@@ -211,6 +211,11 @@ class Trainer:
         """Whether the schedule leaves nothing to do; all processes agree on it once they have resumed."""
         return self.schedule.done(self.progress.step, self.progress.seconds) >= 1
 
+    @property
+    def written(self) -> bool:
+        """Whether the network's file is there; all processes agree on it."""
+        return self._agreed((self.folder / NETWORK).is_file())
+
     def _share_done(self) -> float:
         return self._common(self.schedule.done(self.progress.step, self.progress.seconds))
 

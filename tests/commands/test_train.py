@@ -58,6 +58,10 @@ def test_trains_and_says_what_it_wrote(inputs, capsys):
     assert train(inputs, "--resume") == 0
     assert "has had 2 steps already" in capsys.readouterr().out
     assert json.loads((run / "metrics.jsonl").read_text().splitlines()[-1]) == last  # nothing was done again
+    kept = (run / "network.safetensors").read_bytes()
+    (run / "network.safetensors").unlink()
+    assert train(inputs, "--resume") == 0
+    assert (run / "network.safetensors").read_bytes() == kept  # the checkpoint has it
     assert train(inputs, "--resume", "--steps", "1") == 0  # nor does its record say that less was done
     assert json.loads((run / "run.json").read_text())["steps"] == 2
 
