@@ -1,4 +1,4 @@
-"""Which held-out scans are like those trained on, and which are not."""
+"""Which held-out scans are nearer to those trained on, and which are farther."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from caphy.conventions import BODY_JOINT_COUNT
 from caphy.errors import CaphyError
 from caphy.rotations import matrix_from_axis_angle
 
-LIKE, UNLIKE = "like those trained on", "unlike them"
+LIKE, UNLIKE = "nearer to those trained on", "farther from them"
 """Classes where none are given: the nearer and the farther half."""
 HELD_OUT: Final = 0.2
 """Share of the scans that a split holds out."""
