@@ -132,6 +132,34 @@ multiprocessing.synchronize.sem_unlink = slowly
 """
 
 
+LAUNCHED_SLOWLY = """
+import time
+from multiprocessing import util
+launch = util.spawnv_passfds
+
+def slowly(*given):
+    pid = launch(*given)
+    until = time.monotonic() + 1
+    while time.monotonic() < until:
+        time.sleep(0.01)
+    return pid
+
+util.spawnv_passfds = slowly
+"""
+
+
+@pytest.mark.parametrize(("kill", "status"), [(None, 130), ("os.kill, (os.getpid(), signal.SIGTERM)", 143)])
+def test_no_process_is_left_amid_its_beginning(tmp_path: Path, kill: str | None, status: int) -> None:
+    """What a thread was told by a signal the main thread acts on, also where it has blocked it."""
+    script = tmp_path / "parent.py"
+    stopped = WRITING if kill is None else WRITING.replace("os.killpg, (os.getpgrp(), signal.SIGINT)", kill)
+    script.write_text(LAUNCHED_SLOWLY + stopped)
+    ended = subprocess.run(
+        [*HEEDS, str(script), "1.2"], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (status, "", "")
+
+
 def test_no_thread_is_stopped_amid_clearing_away_its_semaphore(tmp_path: Path) -> None:
     """As on a machine with more to do: threads that write end when the processes do that they write to."""
     script = tmp_path / "parent.py"
