@@ -140,8 +140,8 @@ def stages(plan: Plan, count: int, beyond: Sequence[Path] = ()) -> list[Stage]:
                 *labelled, *subject, run / FABRIC, run / TEMPLATES, *trained, *refined, *collided, run / "rows",
                 *_files(plan.vgg),
             ),
-            outputs=(run / "evaluation.json",), options={"vgg": plan.vgg is not None}, seconds=5 + 0.9 * count,
-            may_fail=True,
+            outputs=(run / "evaluation.json", run / "evaluation.txt", run / "evaluation"),
+            options={"vgg": plan.vgg is not None}, seconds=5 + 0.9 * count, may_fail=True,
         ),
     ]  # fmt: skip
     shown = tuple(run / name for name in (CHECKED, "body.json", FABRIC, "evaluation.json", TEMPLATES, AVATAR))
@@ -335,8 +335,6 @@ def _export(plan: Plan) -> None:
 
 
 def _evaluate(plan: Plan) -> None:
-    for earlier in (plan.run / "evaluation.txt", *(plan.run / "evaluation").glob("*.png")):  # of other scans, perhaps
-        earlier.unlink(missing_ok=True)
     vgg: list[str | Path] = [] if plan.vgg is None else ["--vgg", plan.vgg]
     _command("evaluate", *_labelled(plan), *vgg)
 

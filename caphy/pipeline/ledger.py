@@ -79,10 +79,12 @@ class Ledger:
         return entry.key == stage.key()
 
     def changed(self, stage: Stage) -> list[str] | None:
-        """Names of what a finished stage depends on that is no longer as it was, where it is known; None unless its
-        outputs are of something else than now."""
+        """Names of what a stage depends on that is no longer as it was, where it is known; None unless what it left,
+        finished or not, is of something else than now."""
         entry = self.entry(stage)
-        if entry is None or not entry.finished or entry.key == stage.key():
+        if entry is None or not entry.key or entry.key == stage.key():
+            return None
+        if not any(path.exists() for path in stage.outputs):
             return None
         now, before = stage.parts(), entry.parts
         return [name for name in {**now, **before} if now.get(name) != before.get(name)] if before else []
@@ -105,7 +107,7 @@ class Ledger:
             self.write(stage, Entry("", finished=False))  # killed meanwhile, what is left of them counts for nothing
             for path in stage.outputs:
                 _remove(path)
-        self.write(stage, Entry(key, finished=False))
+        self.write(stage, Entry(key, finished=False, parts=stage.parts()))
 
     def forget(self, stage: Stage) -> None:
         """Remove what a stage wrote, if it did."""

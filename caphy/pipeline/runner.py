@@ -67,7 +67,7 @@ def run_stages(stages: Sequence[Stage], run: Path, say: Callable[[str], None] = 
         left = _left(stages[number:], ledger)
         say(f"{head}; about {_minutes(pace.left([stage]))}, {_minutes(pace.left(left))} for all that is left")
         if (changed := ledger.changed(stage)) is not None:
-            say(f"  made anew, and what it made before removed, for {_these(changed)} not as before")
+            say(f"  made anew, and what it left before removed, for {_these(changed)} not as before")
         for telling in stages:
             if telling.of_all and telling is not stage:
                 ledger.forget(telling)
@@ -90,7 +90,7 @@ def _run(stage: Stage, ledger: Ledger, outcome: Outcome, say: Callable[[str], No
         if not stage.whole():
             raise CaphyError(f"{stage.name}: did not write all that belongs to {stage.outputs[0]}")
     except CaphyError as error:
-        ledger.write(stage, Entry(key, False, monotonic() - started, str(error)))
+        ledger.write(stage, Entry(key, False, monotonic() - started, str(error), parts=parts))
         with ledger.log(stage).open("a", encoding="utf-8") as log:
             log.write(f"failed: {error}\n")
         if not stage.may_fail:

@@ -70,7 +70,7 @@ def fingerprint(path: Path) -> str:
     if path.is_dir():
         digest = hashlib.sha256()
         for file in sorted(_files(path, ())):
-            if not file.name.endswith(UNFINISHED) and not is_stray(file):
+            if not file.name.endswith(UNFINISHED) and not _is_stray(file):
                 digest.update(f"{file.relative_to(path).as_posix()} {fingerprint(file)}\n".encode())
         return digest.hexdigest()
     if not path.is_file():
@@ -79,7 +79,7 @@ def fingerprint(path: Path) -> str:
     return _content(str(path), stat.st_size, stat.st_mtime_ns, stat.st_ino)
 
 
-def is_stray(file: Path) -> bool:
+def _is_stray(file: Path) -> bool:
     """Whether nobody reads a file of such a name: hidden ones, and those of file managers."""
     return file.name.startswith(".") or file.name in STRAY
 

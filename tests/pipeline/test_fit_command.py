@@ -154,9 +154,9 @@ def test_killed_in_training_it_ends_the_same(finished, world):
     shutil.copytree(run, broken)
     for name in ("train", "fabric", "refine", "collide", "export", "evaluate", "report"):
         (broken / "stages" / f"{name}.json").unlink()
-    for name in ("train", "fabric", "collided", "avatar"):
+    for name in ("train", "fabric", "collided", "avatar", "evaluation"):
         shutil.rmtree(broken / name)
-    for name in ("fabric.json", "evaluation.json", "report.html"):
+    for name in ("fabric.json", "evaluation.json", "evaluation.txt", "report.html"):
         (broken / name).unlink()
     script = [sys.executable, str(Path(__file__).with_name("quick_fit.py")), str(world / "scans"), "-o", str(broken)]
     command = [*script, "--poses", str(world / "motions")]

@@ -108,7 +108,7 @@ def test_changed_input_is_done_anew_without_what_was_left(work):
     work.source.write_text("xy")
     outcome, said = work.run()
     assert outcome.done == ["letters", "count"]
-    assert f"  made anew, and what it made before removed, for {work.source} is not as before" in said
+    assert f"  made anew, and what it left before removed, for {work.source} is not as before" in said
     assert sorted(path.read_text() for path in (work.folder / "letters").iterdir()) == ["x", "y"]
     assert (work.folder / "count.txt").read_text() == "2"
 
@@ -127,7 +127,7 @@ def test_only_what_depends_on_a_change_is_done_anew(work):
     work.big = True
     outcome, said = work.run()
     assert outcome.done == ["letters", "count"]
-    assert "  made anew, and what it made before removed, for the option big is not as before" in said
+    assert "  made anew, and what it left before removed, for the option big is not as before" in said
     assert (work.folder / "letters" / "0.txt").read_text() == "A"
 
 
@@ -154,7 +154,8 @@ def test_a_stopped_stage_starts_anew_if_its_input_changed_meanwhile(work):
         work.run()
     work.stop_after = None
     work.source.write_text("xbc")
-    work.run()
+    _, said = work.run()
+    assert f"  made anew, and what it left before removed, for {work.source} is not as before" in said
     assert (work.folder / "letters" / "0.txt").read_text() == "x"
 
 
